@@ -203,7 +203,7 @@ def posterior(
         }
         if estimate is not None:
             fits[PLAIN] = _plain
-        before = before.times(fit.prior_error)
+        before = before.times(prior_error or max(fit.prior_error, REFERENCE))
         constants = whole.constants(answer.values)
         variance = np.maximum(before.variance, TINY)
         return Posterior(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from html import escape
+from importlib.resources import files
 from io import BytesIO, StringIO
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rc_params_from_file
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -27,29 +28,10 @@ COLOURS = {
 
 MARKERS = {"measured": ".", "external": "o", "internal": "D"}
 
-STYLE: dict[Any, Any] = {
-    "axes.edgecolor": COLOURS["faint"],
-    "axes.grid": True,
-    "axes.labelcolor": COLOURS["ink"],
-    "axes.linewidth": 0.8,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlelocation": "left",
-    "axes.titlesize": "medium",
-    "font.family": ["DejaVu Sans", "sans-serif"],
-    "font.size": 9,
-    "grid.alpha": 0.35,
-    "grid.color": COLOURS["faint"],
-    "legend.frameon": False,
-    "lines.solid_joinstyle": "round",
-    "path.simplify_threshold": 0.3,
-    "svg.fonttype": "none",
-    "text.color": COLOURS["ink"],
-    "text.parse_math": False,
-    "xtick.color": COLOURS["ink"],
-    "xtick.major.pad": 6.0,
-    "ytick.color": COLOURS["ink"],
-}
+STYLE: dict[Any, Any] = rc_params_from_file(
+    str(files("testbed.view") / "page" / "figures.mplstyle"), use_default_template=False
+)
+"""What differs from matplotlib's own style."""
 
 AXIS, LETTER = 1.6, 0.09
 """Least width of the axis beside names, and width of a letter of theirs [inches]."""

@@ -97,7 +97,7 @@ def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
     """
     _print_bodies(console, found, lengths)
     for line in _explained(found, lengths):
-        console.print(line, soft_wrap=True)
+        console.print(line)
     if found.seen:
         console.print(map_table(found.tree, found.seen))
         console.print(
@@ -106,15 +106,12 @@ def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
             f"order {' '.join(STANDARD)} about the body frame"
         )
     for line in _verdicts(found):
-        console.print(line, soft_wrap=True)
+        console.print(line)
     beyond = parameter_names(found.tree)[10 * found.tree.massless :]
     never = set.intersection(*(set(each.never) for each in found.sets))
     if lost := [name for name in beyond if name in never]:
-        console.print(
-            f"not identifiable, not even in combination: {', '.join(lost)}",
-            soft_wrap=True,
-        )
-    console.print(_summary(found), soft_wrap=True)
+        console.print(f"not identifiable, not even in combination: {', '.join(lost)}")
+    console.print(_summary(found))
 
 
 def print_latex(console: Console, found: Findings, lengths: Lengths) -> None:
@@ -128,10 +125,10 @@ def print_latex(console: Console, found: Findings, lengths: Lengths) -> None:
     for each in found.sets:
         console.print(f"% {each.model}: {each.count}")
         for formula in (*found.formulas(each, lengths), *each.auxiliary_with(lengths)):
-            console.print(rf"{formula.latex('&=')} \\", soft_wrap=True)
+            console.print(rf"{formula.latex('&=')} \\")
     for line in _verdicts(found):
-        console.print(f"% {line}", soft_wrap=True)
-    console.print(f"% {_summary(found)}", soft_wrap=True)
+        console.print(f"% {line}")
+    console.print(f"% {_summary(found)}")
 
 
 def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
@@ -156,7 +153,7 @@ def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
     names = [formula.left.text for known in rows.values() for formula in known]
     width = min(max(map(len, names), default=0), console.width // SHARE)
     for body in sorted(rows, reverse=True):
-        console.print(_heading(found, body), style="bold", soft_wrap=True)
+        console.print(_heading(found, body), style="bold")
         table = Table(box=None, padding=(0, 0, 0, GAP), header_style="bold")
         table.add_column(
             "parameter", width=max(width, len("parameter")), overflow="fold"

@@ -60,7 +60,7 @@ def print_excitation(
     )
     console.print(_promise(found))
     print_proof(console, design.proof, everything=everything)
-    console.print(f"written to {out}", soft_wrap=True)
+    console.print(f"written to {out}")
 
 
 def _promise(found: Excitation) -> str:

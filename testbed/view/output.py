@@ -23,8 +23,8 @@ from rich.table import Table as RichTable
 from testbed.core.base.codec import json_text
 from testbed.core.base.diagnostics import Diagnostic, ordered, paragraphs
 from testbed.core.base.errors import plural, printable, visible
-from testbed.core.base.files import replacing
 from testbed.core.base.stages import stage, stages
+from testbed.core.base.whole_files import write_whole
 
 if TYPE_CHECKING:
     from testbed.view.section import Table
@@ -46,8 +46,7 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> None:
         content: What it shows.
     """
     text = rendered(template, content)
-    with replacing(path) as fresh:
-        fresh.write_text(text, encoding="utf-8")
+    write_whole(path, text)
 
 
 def rendered(template: str, content: dict[str, Any]) -> str:
@@ -165,8 +164,9 @@ class PlainConsole(Console):
 
     def print(self, *objects: Any, **options: Any) -> None:
         """Print as Rich does, control characters of texts spelled out."""
+        texts = all(isinstance(each, str) for each in objects)
         shown = (visible(each) if isinstance(each, str) else each for each in objects)
-        super().print(*shown, **options)
+        super().print(*shown, **{"soft_wrap": texts, **options})
 
 
 def console() -> Console:
@@ -219,7 +219,7 @@ def print_text(out: Console, lines: Iterable[str]) -> None:
         lines: One each.
     """
     for line in lines:
-        out.print(line, soft_wrap=True)
+        out.print(line)
 
 
 def print_diagnostics(
@@ -241,13 +241,11 @@ def print_diagnostics(
     ]
     for kind, (text, *more) in said[:most]:
         style = "yellow" if kind == "warning" else None
-        out.print(f"{kind}: {printable(text)}", style=style, soft_wrap=True)
+        out.print(f"{kind}: {printable(text)}", style=style)
         for line in more:
-            out.print(f"    {printable(line)}", style=style, soft_wrap=True)
+            out.print(f"    {printable(line)}", style=style)
     if most is not None and len(said) > most:
-        out.print(
-            f"(--all prints {plural(len(said) - most, 'more warning')})", soft_wrap=True
-        )
+        out.print(f"(--all prints {plural(len(said) - most, 'more warning')})")
 
 
 def print_tables(out: Console, *layouts: Sequence[Table]) -> None:

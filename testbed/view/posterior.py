@@ -54,9 +54,10 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         for k in order
     ]
     title = (
-        f"{found.instrument}, with the model file as prior, whose bodies are uncertain by "
-        f"{found.prior_error:.0%}: the estimate by file and recording; data: share of the "
-        "file's variance that the recording removes; standard deviations for motions like this one"
+        f"{found.instrument}, with the model file as prior, whose bodies are wrong by "
+        f"{found.prior_error:.0%} where the recording shows it: the estimate by file and "
+        "recording; data: share of the file's variance that the recording removes; standard "
+        "deviations for motions like this one"
     )
     return Table(
         ["parameter", "unit", "model file", "estimate", "data"], rows, title, ["unit"]

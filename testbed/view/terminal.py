@@ -88,7 +88,7 @@ def print_estimates(
     left = [e for e in estimates if e.method not in {each.method for each in needed}]
     _print_parameters(out, left, {}, everything=everything)
     if needed and not left:
-        out.print(LEGEND, soft_wrap=True)
+        out.print(LEGEND)
     for each in posteriors:
         print_tables(out, [errors_table(errors) for errors in each.errors])
     lines = choice_lines(estimates)
@@ -112,13 +112,11 @@ def _print_parameters(
     most = None if everything else ROWS
     print_tables(out, *parameter_tables(estimates, truths, title, most))
     for name in (name for e in estimates for name in e.unidentifiable):
-        out.print(f"{printable(name)} is {OPEN_ZERO}", soft_wrap=True)
+        out.print(f"{printable(name)} is {OPEN_ZERO}")
     count = len({name for e in estimates for name in e.names}) - ROWS
     if not everything and count > 0:
-        out.print(
-            f"({count} more parameters with less influence: --all)", soft_wrap=True
-        )
-    out.print(LEGEND, soft_wrap=True)
+        out.print(f"({count} more parameters with less influence: --all)")
+    out.print(LEGEND)
 
 
 def print_plate(
@@ -139,7 +137,7 @@ def print_plate(
     print_diagnostics(
         out, [*diagnostics, *(d for e in estimates for d in e.diagnostics)]
     )
-    out.print(f"plate: {path}", soft_wrap=True)
+    out.print(f"plate: {path}")
 
 
 def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
@@ -167,7 +165,7 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
     if everything:
         expect = {} if run.experiment is None else run.experiment.expect
         _print_metrics(out, run, dict.fromkeys((*run.metrics, *expect)))
-    out.print(f"run folder: {folder}", soft_wrap=True)
+    out.print(f"run folder: {folder}")
 
 
 def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
@@ -180,7 +178,7 @@ def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
             claim = (
                 f"  {expect[name].wanted}: {'holds' if run.verdicts[name] else 'FAILS'}"
             )
-        out.print(f"{name:28s}{value}{claim}", soft_wrap=True)
+        out.print(f"{name:28s}{value}{claim}")
 
 
 def _print_verdict(out: Console, run: Run) -> None:

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 
 import testbed as tb
 from testbed.campaigns.campaign_section import cells_figure, print_campaign
@@ -43,7 +42,7 @@ def findings(tree: tb.Tree) -> Findings:
 
 def printed(width: int, print_it: Callable[..., object], *words: Any) -> str:
     """The text that something prints on a terminal of some width."""
-    console = Console(markup=False, width=width, record=True, file=StringIO())
+    console = output.PlainConsole(markup=False, width=width, record=True, file=StringIO())
     print_it(console, *words)
     return console.export_text()
 

@@ -20,6 +20,10 @@ from testbed.core.robot.tree import Tree
 UNKNOWNS = 12
 """Zero of force and moment, weight, centre: three each."""
 
+ARM, ENOUGH = 0.04, 12
+"""Noise of moments over that of forces, as of usual sensors [m]; rows beyond the unknowns with
+which each is known by itself."""
+
 SMALLEST = 1e-6
 """Singular values below this share of the largest are rounding, or poses that are all alike."""
 
@@ -90,9 +94,18 @@ class RestFit:
         return self.found[9:]
 
     @property
+    def arm(self) -> float:
+        """Distance of the centre of mass from the sensor's origin [m]."""
+        return float(np.linalg.norm(self.centre))
+
+    def mass(self, gravity: Array) -> float:
+        """Mass of the tool under a gravity, (3,) [kg]."""
+        return float(np.linalg.norm(self.weight) / np.linalg.norm(gravity))
+
+    @property
     def share(self) -> float:
         """Rms residual, moments by the centre's lever, over the tool's weight."""
-        lever = max(float(np.linalg.norm(self.centre)), LEVER)
+        lever = max(self.arm, LEVER)
         return float(
             max(self.scale[0], self.scale[1] / lever) / np.linalg.norm(self.weight)
         )
@@ -164,8 +177,14 @@ def _linearised(back: Array, wrench: Array, found: Array) -> tuple[Array, Array]
 
 
 def _scale(rest: Array) -> Array:
-    """Noise of forces and of moments by their residuals, each with half the unknowns, (2,)."""
-    parts = rest.reshape(-1, 2, 3)
+    """Noise of forces and of moments by their residuals, each with half the unknowns, (2,).
+
+    Rows that lack to `ENOUGH` are those of both together, by `ARM`: else that of the two which
+    happens to fit better takes all weight, and fits better still.
+    """
+    parts = rest.reshape(-1, 2, 3) / [[1.0], [ARM]]
     count = max(3 * len(parts) - UNKNOWNS // 2, 1)
-    sizes = np.sqrt((parts**2).sum(axis=(0, 2)) / count)
+    lacking, squares = max(ENOUGH - count, 0), (parts**2).sum(axis=(0, 2))
+    squares = (squares + lacking * squares.mean() / count) / (count + lacking)
+    sizes = np.sqrt(squares) * [1.0, ARM]
     return np.asarray(np.maximum(sizes, 1e-9 * max(sizes.max(), 1e-9)))

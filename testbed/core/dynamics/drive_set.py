@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.core.base.arrays import Array, readonly
-from testbed.core.dynamics.newton_euler import Motion, regressor
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.dynamics.regressor import regressor
 from testbed.core.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.robot.friction import JointTerm, joint_terms, term_torque

@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+import numpy as np
+from numpy.typing import NDArray
 
-Colour: TypeAlias = tuple[int, int, int, int]
-
-COLOURS: dict[str, Colour] = {
-    "measured": (140, 150, 165, 255),
-    "external": (0, 114, 178, 255),
-    "internal": (213, 94, 0, 255),
-    "force": (217, 38, 33, 255),
-    "moment": (24, 84, 217, 255),
-    "pressure": (240, 180, 40, 255),
-    "path": (0, 158, 115, 255),
-    "axis": (110, 118, 130, 255),
+COLOURS = {
+    "measured": 0x8C96A5FF,
+    "external": 0x0072B2FF,
+    "internal": 0xD55E00FF,
+    "force": 0xD92621FF,
+    "moment": 0x1854D9FF,
+    "pressure": 0xF0B428FF,
+    "path": 0x009E73FF,
+    "axis": 0x6E7682FF,
 }
+"""Red, green, blue and opacity, a byte each."""
 
-_SERIES: tuple[Colour, ...] = (
-    (0, 114, 178, 255),
-    (213, 94, 0, 255),
-    (0, 158, 115, 255),
-    (204, 121, 167, 255),
-    (230, 159, 0, 255),
-    (86, 180, 233, 255),
-    (120, 94, 240, 255),
+SERIES = np.array(
+    [
+        0x0072B2FF,
+        0xD55E00FF,
+        0x009E73FF,
+        0xCC79A7FF,
+        0xE69F00FF,
+        0x56B4E9FF,
+        0x785EF0FF,
+    ],
+    np.uint32,
 )
 
 
-def palette(n: int) -> list[Colour]:
+def palette(n: int) -> NDArray[np.uint32]:
     """One a curve; they repeat after seven."""
-    return [_SERIES[k % len(_SERIES)] for k in range(n)]
+    return np.resize(SERIES, n)

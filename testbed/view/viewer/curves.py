@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import NAMES
-from testbed.view.viewer.colours import COLOURS, Colour, palette
+from testbed.view.viewer.colours import COLOURS, palette
 from testbed.view.viewer.robot_drawing import clock
 from testbed.view.viewer.scene import Scene, safe
 
@@ -55,7 +56,7 @@ def log_series(
     path: str,
     time: Array,
     curves: Mapping[Any, Array],
-    colours: Sequence[Colour] | None = None,
+    colours: Sequence[int] | NDArray[np.uint32] | None = None,
 ) -> None:
     """Curves of one plot over time.
 
@@ -72,7 +73,9 @@ def log_series(
         colours = [COLOURS[label] for label in curves]
         widths = [THIN + THICKER * over for over in reversed(range(len(curves)))]
     labels = [NAMES.get(label, label) for label in curves]
-    lines = rr.SeriesLines(names=labels, colors=list(colours), widths=widths)
+    lines = rr.SeriesLines(
+        names=labels, colors=np.array(colours, np.uint32), widths=widths
+    )
     stream.log(path, lines, static=True)
     send_values(stream, path, *thinned(time, np.column_stack([*curves.values()])))
 

@@ -193,38 +193,30 @@ def _log_pressure(
 def _archetype(shape: Shape) -> Any:
     """The shape as Rerun draws it."""
     colour = [(np.clip(shape.colour, 0, 1) * 255).astype(np.uint8)]
-    turn = [rr.Quaternion(xyzw=quaternions(shape.rotation))]
+    if shape.kind == "mesh":
+        vertices = shape.vertices @ shape.rotation.T + shape.position
+        corners = vertices[shape.faces.astype(int)]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        return rr.Mesh3D(  # corners of its own for every face: edges stay sharp
+            vertex_positions=corners.reshape(-1, 3),
+            vertex_normals=np.repeat(normals, 3, axis=0),
+            albedo_factor=colour[0],
+        )
     solid: dict[str, Any] = {
         "colors": colour,
-        "quaternions": turn,
+        "quaternions": [rr.Quaternion(xyzw=quaternions(shape.rotation))],
         "fill_mode": rr.components.FillMode.Solid,
     }
-    if shape.kind == "box":
-        return rr.Boxes3D(half_sizes=[shape.size], centers=[shape.position], **solid)
-    if shape.kind == "ellipsoid":
-        return rr.Ellipsoids3D(
-            half_sizes=[shape.size], centers=[shape.position], **solid
-        )
+    if shape.kind in ("box", "ellipsoid"):
+        archetype = rr.Boxes3D if shape.kind == "box" else rr.Ellipsoids3D
+        return archetype(half_sizes=[shape.size], centers=[shape.position], **solid)
+    radius, half = shape.size
+    solid |= {"lengths": [2 * half], "radii": [radius]}
     if shape.kind == "cylinder":
-        radius, half = shape.size
-        return rr.Cylinders3D(
-            lengths=[2 * half], radii=[radius], centers=[shape.position], **solid
-        )
-    if shape.kind == "capsule":
-        radius, half = shape.size
-        start = shape.position - shape.rotation[:, 2] * half
-        return rr.Capsules3D(
-            lengths=[2 * half], radii=[radius], translations=[start], **solid
-        )
-    vertices = shape.vertices @ shape.rotation.T + shape.position
-    corners = vertices[shape.faces.astype(int)]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    return rr.Mesh3D(  # corners of its own for every face: edges stay sharp
-        vertex_positions=corners.reshape(-1, 3),
-        vertex_normals=np.repeat(normals, 3, axis=0),
-        albedo_factor=colour[0],
-    )
+        return rr.Cylinders3D(centers=[shape.position], **solid)
+    start = shape.position - shape.rotation[:, 2] * half
+    return rr.Capsules3D(translations=[start], **solid)
 
 
 def quaternions(rotation: Array) -> Array:

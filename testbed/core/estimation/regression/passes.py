@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.stages import Progress
 from testbed.core.estimation.regression.windows import Plan, Window
 from testbed.core.kernel import numpy_engine
 from testbed.core.kernel.records import Block, Signals, Sums, sensed
@@ -178,9 +179,6 @@ def _without_noise(counts: Array, noise: Array) -> Array:
     # counts of noise that blur the counts: of rounding alone there are 0.29 at most
     return np.where(noise < 0.4 * least, least, 0.0)
 
-
-Progress = Callable[[int, int], None]
-"""Called with samples done and samples in all."""
 
 Columns = Callable[[Signals, int], Array]
 """Columns of a window's rows, (C, rows, s), of its signals and the number of its first row."""
