@@ -17,9 +17,16 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import testbed
 from testbed.campaigns.campaign import Campaign
-from testbed.campaigns.results import RESULTS, read_results, write_rows
+from testbed.campaigns.results import (
+    PARAMETER_NUMBERS,
+    RESULTS,
+    read_results,
+    write_rows,
+)
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.contents import fingerprint
 from testbed.core.base.errors import ExperimentError, TestbedError, printable
@@ -167,8 +174,7 @@ def _write(
             named = {
                 f"factor/{k}": v for k, v in zip(campaign.factors, levels, strict=True)
             }
-            numbers = {"cell": place.cell, "replicate": place.replicate}
-            table.append({**rows[place.run], **numbers, **named})
+            table.append({**rows[place.run], **vars(place), **named})
     write_rows(path, campaign, table)
 
 
@@ -227,25 +233,10 @@ def _results(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
     estimates = []
     for method, estimate in run.estimates.items():
         errors = run.score.errors[method]
-        columns = (
-            estimate.names,
-            errors.truth,
-            estimate.values,
-            estimate.sigma,
-            errors.relative,
-        )
-        for name, *numbers in zip(*columns, strict=True):
-            truth, value, sigma, relative = map(float, numbers)
-            estimates.append(
-                {
-                    "method": method,
-                    "parameter": name,
-                    "truth": truth,
-                    "value": value,
-                    "sigma": sigma,
-                    "relative_error": relative,
-                }
-            )
+        found = errors.truth, estimate.values, estimate.sigma, errors.relative
+        for name, numbers in zip(estimate.names, np.transpose(found), strict=True):
+            row = dict(zip(PARAMETER_NUMBERS, numbers.tolist(), strict=True))
+            estimates.append({"method": method, "parameter": name} | row)
     metrics = {f"metric/{name}": value for name, value in run.score.metrics.items()}
     diagnostics = [each.code for each in run.diagnostics]
     return metrics | {"estimates": estimates, "diagnostics": diagnostics}

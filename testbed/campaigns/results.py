@@ -30,9 +30,12 @@ MAX_REASON = 130
 
 TEXT, NUMBER, INTEGER = pa.string(), pa.float64(), pa.int64()
 
+PARAMETER_NUMBERS = ("truth", "value", "sigma", "relative_error")
+"""Of one parameter of an estimate."""
+
 PARAMETER = pa.struct(
     dict.fromkeys(("method", "parameter"), TEXT)
-    | dict.fromkeys(("truth", "value", "sigma", "relative_error"), NUMBER)
+    | dict.fromkeys(PARAMETER_NUMBERS, NUMBER)
 )
 """One parameter of an estimate."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, compress
 
 import mujoco
 import numpy as np
@@ -86,12 +86,8 @@ class CollisionModel:
 
     def only(self, watched: Sequence[bool]) -> CollisionModel:
         """Some of the pairs."""
-        kept = [k for k, wanted in enumerate(watched) if wanted]
-        pairs, geoms = (
-            tuple(self.pairs[k] for k in kept),
-            tuple(self.geoms[k] for k in kept),
-        )
-        return replace(self, pairs=pairs, geoms=geoms)
+        pairs = tuple(compress(self.pairs, watched))
+        return replace(self, pairs=pairs, geoms=tuple(compress(self.geoms, watched)))
 
 
 def collision_model(
@@ -109,18 +105,7 @@ def collision_model(
         floor: Height of the floor [m], bedplate frame; None for none.
     """
     spec = mujoco.MjSpec()
-    bodies = [spec.worldbody]
-    for j, joint in enumerate(tree.joints):
-        place = {"pos": joint.offset, "quat": to_quaternion(joint.rotation)}
-        body = bodies[joint.parent + 1].add_body(**place)
-        body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
-        kind = (
-            mujoco.mjtJoint.mjJNT_HINGE
-            if joint.revolute
-            else mujoco.mjtJoint.mjJNT_SLIDE
-        )
-        body.add_joint(name=str(j), type=kind, axis=joint.axis)
-        bodies.append(body)
+    bodies = _add_bodies(spec, tree)
     owners: dict[str, int] = {}
     owned = [*((each, max(each.body, STANDING)) for each in shapes)]
     owned += [(each, CELL) for each in obstacles]
@@ -135,6 +120,19 @@ def collision_model(
     order = np.array([model.joint(str(j)).dofadr[0] for j in range(tree.n)])
     pairs = _pairs(tree, [owners[model.geom(geom).name] for geom in range(model.ngeom)])
     return CollisionModel(tree, model, order, tuple(pairs), tuple(pairs.values()))
+
+
+def _add_bodies(spec: mujoco.MjSpec, tree: Tree) -> list[mujoco.MjsBody]:
+    """The world, and a body without shapes for each joint, numbered."""
+    bodies = [spec.worldbody]
+    kinds = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    for j, joint in enumerate(tree.joints):
+        place = {"pos": joint.offset, "quat": to_quaternion(joint.rotation)}
+        body = bodies[joint.parent + 1].add_body(**place)
+        body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
+        body.add_joint(name=str(j), type=kinds[joint.revolute], axis=joint.axis)
+        bodies.append(body)
+    return bodies
 
 
 def _pairs(

@@ -205,10 +205,9 @@ def information_of(
     parts = []
     for model in models_of(instrument):
         here, joints = rows[model], model == "dynamic"
-        same = here.minimal is main.minimal
         lead = np.zeros((here.minimal.count, unknowns))
         lead[:, :count] = scale * (
-            np.eye(count) if same else selection(here.minimal, main.minimal)
+            np.eye(count) if here is main else selection(here.minimal, main.minimal)
         )
         slots, bases = zip(*here.channels(), strict=True)
         leads = tuple(basis @ lead for basis in bases)

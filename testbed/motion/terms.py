@@ -47,17 +47,10 @@ def force_bounds(tree: Tree, motion: Array) -> ForceBounds:
         tree: The robot, its inertias an a-priori model.
         motion: Bounds of |q|, |qd|, |qdd| and of the next two derivatives, (5, n, W).
     """
-    still = np.zeros((3, motion.shape[2]))
-    falling = still.copy()
-    falling[0] = np.linalg.norm(tree.gravity)
-    ground = _Moving(still, still, falling, still, still)
-    moving: list[_Moving] = []
-    for joint, own in zip(tree.joints, motion.transpose(1, 0, 2), strict=True):
-        carrier = ground if joint.parent < 0 else moving[joint.parent]
-        moving.append(_carried(joint, carrier, own))
+    spans, moving = motion.shape[2], _jets(tree, motion)
     # the last one is the bedplate's
-    force, moment = np.zeros((2, tree.n + 1, *still.shape))
-    joints = np.empty((tree.n, motion.shape[2]))
+    force, moment = np.zeros((2, tree.n + 1, 3, spans))
+    joints = np.empty((tree.n, spans))
     for j in reversed(range(tree.n)):
         joint, body, here = tree.joints[j], tree.inertias[j], moving[j]
         first = float(np.linalg.norm(body.first_moment))
@@ -92,6 +85,18 @@ class _Moving:
     def turning(self) -> Array:
         """What a point a metre away has more of acceleration."""
         return self.angular + _times(self.speed, self.speed)
+
+
+def _jets(tree: Tree, motion: Array) -> list[_Moving]:
+    """Jets of all bodies, of bounds of their joints' derivatives, (5, n, W)."""
+    still, falling = np.zeros((2, 3, motion.shape[2]))
+    falling[0] = np.linalg.norm(tree.gravity)
+    ground = _Moving(still, still, falling, still, still)
+    moving: list[_Moving] = []
+    for joint, own in zip(tree.joints, motion.transpose(1, 0, 2), strict=True):
+        carrier = ground if joint.parent < 0 else moving[joint.parent]
+        moving.append(_carried(joint, carrier, own))
+    return moving
 
 
 def _carried(joint: Joint, carrier: _Moving, own: Array) -> _Moving:

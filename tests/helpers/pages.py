@@ -62,7 +62,7 @@ def hostile() -> tb.Run:
     """A run in which everything is called by HOSTILE."""
     tree = robot("puma")
     joints = tuple(replace(each, name=f"{each.name}{HOSTILE}") for each in tree.joints)
-    tree = replace(tree, name=HOSTILE, joints=joints)
+    tree = replace(tree, name=HOSTILE, joints=joints, file=None)  # no file has such joints
     asked = experiment().model_copy(update={"name": HOSTILE, "claim": HOSTILE})
     return replace(
         run_of(tree, asked=asked), name=HOSTILE, diagnostics=(Diagnostic("note", HOSTILE),)
