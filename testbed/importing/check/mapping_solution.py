@@ -174,10 +174,9 @@ def _assessed(
 def _assume(draft: MappingDraft, tree: Tree) -> MappingDraft:
     """What is open is what is usual."""
     sliding = {joint.name for joint in tree.joints if not joint.revolute}
-    tables = draft.tables
-    joints = tables[""]["joints"]
+    joints = draft.tables[""]["joints"]
     for kind, (turns, slides) in USUAL.items():
-        unit = tables.get(kind, {}).get("unit")
+        unit = draft.tables.get(kind, {}).get("unit")
         if unit == "" or (
             unit in [*TURNING.get(kind, ())] and sliding.intersection(joints)
         ):
@@ -187,11 +186,11 @@ def _assume(draft: MappingDraft, tree: Tree) -> MappingDraft:
             draft = draft.saying(
                 kind, "unit", units if len({*units}) > 1 else units[0], note
             )
-    if tables.get("torque", {}).get("gain") == "":
+    if draft.tables.get("torque", {}).get("gain") == "":
         draft = draft.saying(
             "torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]"
         )
-    for name, plate in tables.items():
+    for name, plate in draft.tables.items():
         if not name.startswith(("wrench", "plates.")):
             continue
         units = [
