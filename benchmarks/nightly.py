@@ -34,6 +34,7 @@ CHECKS: dict[str, tuple[str, ...]] = {
     "minimal sets": (*BENCHMARKS, "minimal", "--trees", "200", "--robots", "--cuts"),
     "hostile inputs": (*BENCHMARKS, "hostile", "--inputs", "200", "--kills", "20"),
     RIVALS: (*BENCHMARKS, "rivals"),
+    "real robots": (*BENCHMARKS, "real"),
     "mutants": (*BENCHMARKS, "mutation", "--mutants", "100"),
 }
 """What is run, by name."""

@@ -14,7 +14,7 @@ from .core.dynamics.newton_euler import Motion as Motion
 from .core.dynamics.newton_euler import base_wrench as base_wrench
 from .core.dynamics.newton_euler import joint_forces as joint_forces
 from .core.dynamics.newton_euler import pedestal_wrench as pedestal_wrench
-from .core.dynamics.newton_euler import regressor as regressor
+from .core.dynamics.regressor import regressor as regressor
 from .core.estimation.estimate import Estimate as Estimate
 from .core.estimation.identify import identify as identify
 from .core.estimation.information import Information as Information

@@ -14,10 +14,10 @@ from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prior import Prior, prior_of
 from testbed.bodies.row_products import RowParts
 from testbed.core.base.errors import RecordingError, TestbedError, UnseenParameters
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.estimation.identify import estimate_of
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.source import RecordingLike, open_source
@@ -55,7 +55,7 @@ def analyse(
     prior_error: float | None = None,
     bodies: tuple[Prior, ConsistencyOptions] | None = None,
     threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
 ) -> Analysis:
     """Identify by several signals of a recording, which is prepared once for each of them.
 

@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import with_properties
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.identify import identify
 from testbed.core.estimation.regression.normal_equations import (
     square_root,
     unit_diagonal,
 )
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.estimation.settings import DEFAULTS, Settings
@@ -90,7 +90,7 @@ def calibrate(
     gravity: ArrayLike | None = None,
     settings: Settings = DEFAULTS,
     threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
 ) -> Calibration:
     """Numbers of the plate and parameters of the robot at once, from one recording.
 

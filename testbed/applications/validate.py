@@ -25,6 +25,7 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose, sentences
 from testbed.core.base.errors import RecordingError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.estimate import (
@@ -37,7 +38,6 @@ from testbed.core.estimation.estimate import (
     matters,
 )
 from testbed.core.estimation.problem import Problem, tare_of
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.settings import DEFAULTS, Settings
@@ -71,12 +71,10 @@ def motion_in(
     inner = slice(reach, recording.samples - reach)
     if recording.samples <= 2 * reach:
         raise RecordingError("the recording is too short for the filter on positions")
-    signals = [
-        np.column_stack(
-            [np.convolve(q, tap[::-1], "valid") for q in recording.position.T]
-        )
+    signals = (
+        np.apply_along_axis(np.convolve, 0, recording.position, tap[::-1], "valid")
         for tap in taps
-    ]
+    )
     return Motion(recording.time[inner], *signals), inner
 
 
@@ -101,7 +99,6 @@ def predictions(
     recording: Recording,
     motion: Motion,
     estimates: Mapping[Method, Estimate],
-    gravity: ArrayLike | None = None,
 ) -> tuple[dict[Method, Array], dict[Method, Array]]:
     """What plate and drives should have shown along a motion, by method.
 
@@ -114,12 +111,11 @@ def predictions(
         recording: Says its gravity, and how much of the wrench is the pedestal's.
         motion: The motion it shows.
         estimates: By method, "external" and "internal", in any order.
-        gravity: As for `identify`.
 
     Returns:
         Wrenches, pedestal included, (M, 6) [N, N m]; and motor torques, (M, n) [N m or N].
     """
-    tree = in_its_gravity(tree, recording, gravity)
+    tree = in_its_gravity(tree, recording)
     tare = tare_of(tree, recording)
     theta = np.zeros((tree.n, 10, len(estimates)))
     methods = [method for method in METHODS if method in estimates]
@@ -284,7 +280,7 @@ def validate(
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
     threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
     models: Mapping[str, Array] | None = None,
     held: str = PLAIN,
 ) -> Validation:

@@ -1,12 +1,13 @@
 """Model average: fits whose priors have several strengths, weighted by held-out parts.
 
-How wrong a model file is cannot be told from a short recording, and each single guess is a bad one
-somewhere. Strengths that held-out parts cannot tell apart are averaged: torques and wrenches are
+How wrong a model file is cannot be seen in a short recording, and each single guess is a bad one
+somewhere. Strengths that held-out parts cannot distinguish are averaged: torques and wrenches are
 linear in the unknowns, so that the average is an estimate.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -32,6 +33,9 @@ PRIOR_ERROR = 0.3
 REFERENCE = 0.5
 """Error of a file of which nothing is known; data determine what they narrow to a tenth of its
 variance."""
+
+BLOCKS = (1, 2, 4)
+"""Parts that are held out together: from the longer ones fits have to extrapolate."""
 
 FEWEST_PARTS = 3
 
@@ -96,24 +100,24 @@ def model_average(
         fit_of_noise(_scaled(equations, prior, e), prior, whole.enough) for e in errors
     ]
     noise = np.array([fit.noise for fit in fits])
-    folds = [(seen, part) for seen, part in parts.folds if part.rows.any()]
-    by_rows, weights = dict[RowProducts, Array](), (sizes == PRIOR_ERROR) / 1.0
-    error = float(sizes[0])
-    if len(sizes) == 1:
-        weights = np.ones(1)
-    elif len(folds) >= FEWEST_PARTS:
-        by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in folds}
-        losses = [_losses(part, by_rows[seen], noise[-1]) for seen, part in folds]
-        weights = _weights(np.array(losses), sizes)
+    by_rows, weights = dict[RowProducts, Array](), np.ones(1)
     if len(sizes) > 1:
-        error = _file_error(fits, sizes, weights, prior)
+        by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in parts.folds}
+        weights = _weights(_losses(parts, prior, sizes, noise, by_rows), sizes)
     z = np.array([prior.scale(e) * fit.z for e, fit in zip(errors, fits, strict=True)])
-    apart = z - weights @ z
+    apart, best = z - weights @ z, int(weights.argmax())
+    noise_of_scores = noise * _excess(parts, prior, fits[best], errors[best])
+    wide = _refitted(equations, prior, sizes, noise_of_scores)
+    error = _file_error(wide, sizes, weights, prior) if len(sizes) > 1 else errors[0]
+    if len(sizes) > 1:  # no evidence says how wrong bodies are that no row shows
+        sizes = np.maximum(sizes, REFERENCE)
+        wide = _refitted(equations, prior, sizes, noise_of_scores)
     covariance = (weights * apart.T) @ apart
-    covariance += _within(parts, prior, fits, sizes, weights)
+    for weight, size, fit in zip(weights, sizes.tolist(), wide, strict=True):
+        covariance += weight * _unscaled(fit.covariance, prior, size)
     return ModelAverage(
         prior,
-        sizes,
+        np.array(errors),
         weights,
         noise,
         prior.mean + prior.root @ (weights @ z),
@@ -123,28 +127,14 @@ def model_average(
     )
 
 
-def _within(
-    parts: RowParts,
-    prior: LinearPrior,
-    fits: Sequence[PriorFit],
-    errors: Array,
-    weights: Array,
-) -> Array:
-    """Average covariance of the fits in z of the prior with an error of one, (r, r).
-
-    Bodies that no row shows are as uncertain as those of any file: no evidence says how wrong they
-    are. Correlated noise, and what the model leaves out, count by the scatter of the parts' scores.
-    """
-    equations = parts.whole.equations(prior.root, prior.mean)
-    best = int(weights.argmax())
-    excess = _excess(parts, prior, fits[best], float(errors[best]))
-    unseen = errors if len(errors) == 1 else np.maximum(errors, REFERENCE)
-    covariance: Array = np.zeros_like(fits[best].covariance)
-    for weight, error, fit in zip(weights, unseen.tolist(), fits, strict=True):
-        noise, own = excess * fit.noise, _scaled(equations, prior, error)
-        wider = fit_with_noise(own, noise, prior.least)
-        covariance += weight * _unscaled(wider.covariance, prior, error)
-    return covariance
+def _refitted(
+    equations: NormalEquations, prior: LinearPrior, errors: Array, noise: Array
+) -> list[PriorFit]:
+    """Fits with other errors of the bodies and variances of noise, (k, C)."""
+    return [
+        fit_with_noise(_scaled(equations, prior, error), own, prior.least)
+        for error, own in zip(errors.tolist(), noise, strict=True)
+    ]
 
 
 def _unscaled(covariance: Array, prior: LinearPrior, error: float) -> Array:
@@ -164,15 +154,18 @@ def _excess(parts: RowParts, prior: LinearPrior, fit: PriorFit, error: float) ->
     constants = parts.whole.constants(values)[:, None]
     ones = np.ones_like(constants)
     left = np.hstack([-values * ones, -constants, ones])
-    scores = [
-        np.einsum("cij,cj->ci", part.products[:, :-2], left) @ prior.root
-        for part in parts.each
-    ]
+    whole = parts.whole
+    means = whole.products[:, -2, :-2] / np.maximum(whole.rows, 1.0)[:, None]
+    scores = []
+    for part in parts.each:
+        sums = np.einsum("cij,cj->ci", part.products[:, :-1], left)
+        own = sums[:, :-1] - parts.offset * means * sums[:, -1:]
+        scores.append(own @ prior.root)
     covariance = _unscaled(fit.covariance, prior, error)
     scatter = np.einsum("kci,ij,kcj->c", scores, covariance, scores)
-    normal = parts.whole.equations(prior.root, prior.mean).normal
+    normal = whole.equations(prior.root, prior.mean).normal
     white = REPEATED * np.einsum("cij,ji->c", normal, covariance)
-    excess = scatter / np.maximum(white, TINY) / fit.noise
+    excess = np.where(white > TINY, scatter / np.maximum(white, TINY), 0.0) / fit.noise
     return np.asarray(np.maximum(excess, 1.0))
 
 
@@ -212,7 +205,30 @@ def _values(
     return np.array(values)
 
 
-def _losses(part: RowProducts, values: Array, noise: Array) -> Array:
+def _losses(
+    parts: RowParts,
+    prior: LinearPrior,
+    errors: Array,
+    noise: Array,
+    by_rows: Mapping[RowProducts, Array],
+) -> Array:
+    """Losses of held-out parts by fit, (parts, k): averages over blocks of all lengths.
+
+    Parts without rows are left out.
+    """
+    losses = defaultdict[int, list[Array]](list)
+    for length in BLOCKS:
+        for seen, block in parts.blocks(length):
+            values = by_rows.get(seen)
+            if values is None:
+                values = _values(seen, prior, errors, noise)
+            for k, part in block:
+                if part.rows.any():
+                    losses[k].append(_loss(part, values, noise[-1]))
+    return np.array([np.mean(each, axis=0) for each in losses.values()])
+
+
+def _loss(part: RowProducts, values: Array, noise: Array) -> Array:
     """Logarithms of a part's mean squares in units of the noise, by fit, (k,)."""
     squares = np.array([part.squares(each, part.constants(each)) for each in values])
     loss: Array = np.log(
@@ -223,6 +239,8 @@ def _losses(part: RowProducts, values: Array, noise: Array) -> Array:
 
 def _weights(losses: Array, errors: Array) -> Array:
     """Weights of fits by their losses on parts, (parts, k)."""
+    if len(losses) < FEWEST_PARTS:
+        return np.asarray((errors == PRIOR_ERROR) / 1.0)
     excess = losses - losses[:, [losses.mean(axis=0).argmin()]]
     error = excess.std(axis=0, ddof=1) / np.sqrt(len(excess))
     apart = excess.mean(axis=0) / np.clip(error, SURE, UNSURE)

@@ -150,6 +150,20 @@ class RowParts:
         """Rows seen and the part to be predicted from them, for each part."""
         return [*zip(self._of(self.cross.seen), self.each, strict=True)]
 
+    def blocks(
+        self, length: int
+    ) -> Iterator[tuple[RowProducts, list[tuple[int, RowProducts]]]]:
+        """Rows seen, and consecutive parts with their numbers to be predicted from them.
+
+        Args:
+            length: Parts that are held out together.
+        """
+        parts = [*enumerate(self.each)]
+        for first in range(0, len(parts), length):
+            block = parts[first : first + length]
+            rest = [part for k, part in parts if not first <= k < first + length]
+            yield self.folds[first][0] if length == 1 else sum_of(rest), block
+
     @property
     def splits(self) -> dict[str, list[tuple[RowProducts, list[RowProducts]]]]:
         """Rows that are seen, and parts to be predicted: by time, and by speed if that differs.

@@ -22,6 +22,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError
 from testbed.core.base.files import check_writable, replacing
+from testbed.core.base.whole_files import write_whole
 from testbed.core.robot.inertia import NOTHING, Inertia, upper_root
 from testbed.core.robot.model_file import (
     ModelFile,
@@ -88,8 +89,7 @@ def write_model(
     change = replace(change, gears=gears or {}, delay=delay)
     ((data, said),) = _edited(model, [change], note)
     unread = _check(model, data, tree)
-    with replacing(path) as fresh:
-        fresh.write_bytes(data)
+    write_whole(path, data)
     return (*change.diagnostics, *said, *unread, *_lost_files(model.path, path))
 
 

@@ -7,7 +7,7 @@ import multiprocessing
 import signal
 import time
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
@@ -24,6 +24,7 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.contents import fingerprint
 from testbed.core.base.errors import ExperimentError, TestbedError, printable
 from testbed.core.base.installation import versions
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.robot.model_file import references
 from testbed.lab.experiment.experiment import Experiment
 
@@ -94,7 +95,7 @@ def conduct(
     folder: Path,
     workers: int = 0,
     limit: int | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = unreported,
 ) -> None:
     """Carry out the runs of a campaign that have no result yet.
 

@@ -162,11 +162,10 @@ def _interrupt() -> Iterator[Callable[[], bool]]:
 def _experiment(file: Path, settings: list[str]) -> Experiment:
     """An experiment file, or one that says only which model."""
     from testbed.lab.experiment.experiment import Experiment
-    from testbed.lab.experiment.experiment_robot import with_nearest_bodies
 
     if file.suffix.lower() == ".toml":
         return Experiment.from_toml(file, settings)
-    experiment, said = with_nearest_bodies(Experiment.of_model(file, settings))
+    experiment, said = Experiment.of_model(file, settings).with_nearest_bodies()
     note(sentences(said))
     return experiment
 

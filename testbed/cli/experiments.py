@@ -119,11 +119,10 @@ def _unwatched(time: Array, truth: Truth) -> None:
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.experiment_robot import model_of
     from testbed.lab.experiment.rig import robot_of
     from testbed.view.viewer.live import Live
 
-    look = load_appearance(robot_of(experiment), model_of(experiment))
+    look = load_appearance(robot_of(experiment), experiment.file)
     note(sentences(look.diagnostics))
     return Live(experiment.name, look)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from testbed.applications.drives.identify_drives import DriveFindings
     from testbed.bodies.consistency.consistent import Consistent
     from testbed.core.base.diagnostics import Diagnostic
+    from testbed.core.estimation.estimate import Method
 
 
 ConsistentBodies = Annotated[
@@ -213,11 +214,7 @@ def identify(
     if (
         everything or as_json
     ) and not tree.is_part:  # no fault: few recordings have both
-        lacking = [name for name in wanted if name not in there]
-        said += [
-            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
-            for m in lacking
-        ]
+        said += _unrecorded(name for name in wanted if name not in there)
     with output.Progress("identifying") as progress:
         found = analyse(
             tree,
@@ -267,6 +264,16 @@ def identify(
         output.print_result(lines=[f"model file: {writing.write}"])
 
 
+def _unrecorded(methods: Iterable[Method]) -> list[Diagnostic]:
+    """Methods whose signal the recording lacks."""
+    from testbed.core.estimation.estimate import NAMES, SIGNAL_OF
+
+    return [
+        diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
+        for m in methods
+    ]
+
+
 @command()
 def validate(
     recording: Annotated[
@@ -296,7 +303,7 @@ def validate(
     from testbed.applications.validate import validate as validated
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import RecordingError
-    from testbed.core.estimation.estimate import NAMES, SIGNAL_OF
+    from testbed.core.estimation.estimate import SIGNAL_OF
     from testbed.lab.experiment.read_result import read_result
     from testbed.view import output
     from testbed.view.posterior import validation_table
@@ -306,11 +313,7 @@ def validate(
         kept.without_held(opened(recording)), kept.tree, reading.plate
     )
     there = [a for a in kept.answers if SIGNAL_OF[a.estimate.method] in source.signals]
-    lacking = [a.estimate.method for a in kept.answers if a not in there]
-    said = [
-        diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
-        for m in lacking
-    ]
+    said = _unrecorded(a.estimate.method for a in kept.answers if a not in there)
     if not there:
         raise RecordingError("; ".join(map(str, said)))
     found = {}

@@ -52,7 +52,8 @@ def write_mapping(
     Raises:
         TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
-    from testbed.core.base.files import replacing, together
+    from testbed.core.base.files import together
+    from testbed.core.base.whole_files import write_whole
     from testbed.importing.check.draft_mapping import missing
     from testbed.view import output
     from testbed.view.mapping import solved_table, write_mapping_page
@@ -60,14 +61,14 @@ def write_mapping(
     written = out or Path("mapping.toml")
     solution = _solution(files, written, reading)
     draft = solution.draft
-    if out is not None and reading.model is not None:
-        output.print_result([solved_table(draft)])
+    solved = solved_table(draft)
+    if out is not None and reading.model is not None and solved.rows:
+        output.print_result([solved])
     with together():
         if page is not None:
             write_mapping_page(page, solution)
         if out is not None:
-            with replacing(out) as fresh:
-                fresh.write_text(draft.text, encoding="utf-8")
+            write_whole(out, draft.text)
     if out is None:
         typer.echo(draft.text, nl=False)
     if solution.refusal is not None:

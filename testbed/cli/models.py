@@ -169,7 +169,7 @@ def equations(
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
     from testbed.core.base.contents import fingerprint
-    from testbed.core.base.files import replacing
+    from testbed.core.base.whole_files import write_whole
     from testbed.equations.equations import KINDS
     from testbed.equations.equations import equations as derived
     from testbed.equations.expression import MAX_TERMS
@@ -199,8 +199,7 @@ def equations(
             listing, language, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
         )
     if out is not None:
-        with replacing(out) as fresh:
-            fresh.write_text(text, encoding="utf-8")
+        write_whole(out, text)
     if as_json:
         output.print_json(as_document(listing, text))
     elif out is None:
@@ -251,10 +250,11 @@ Kind = Annotated[
 
 @command("list")
 def list_(kind: Kind = None) -> None:
-    """List errors of encoders, drives and plate, and effects in the plant, for experiments.
+    """List errors of encoders, drives and plate, effects in the plant, terms of joint torques.
 
     Example: testbed list plate_pose
     """
+    from testbed.core.robot.friction import LAWS, VARYING
     from testbed.lab.simulation.effects import KINDS as EFFECTS
     from testbed.sensors.catalogue import simulated_errors
     from testbed.sensors.kinds_in_words import in_words
@@ -271,6 +271,9 @@ def list_(kind: Kind = None) -> None:
     if kind is not None:
         raise UnknownName("kind", kind, (*simulated_errors(), *EFFECTS))
     typer.echo("One of them, with its keys: testbed list KIND")
+    typer.echo("[identification] terms = [...], units at joints that turn, that slide")
+    for law in (*LAWS, *VARYING):
+        typer.echo(f"  {law.kind:26s}{law.turning}, {law.sliding}")
 
 
 def _describe(entry: KindDescription, key: str) -> None:

@@ -132,13 +132,12 @@ def _show(
 def _write_motion(file: Path, settings: Sequence[str], path: Path) -> list[Diagnostic]:
     """Write what there is to see of a file's motion; what to know of it."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.experiment_robot import model_of
     from testbed.lab.experiment.motions import checked_motion, obstacles_of
     from testbed.view.viewer.log import write_motion_rrd
 
     found = checked_motion(file, settings)
     tree = found.rules.tree
-    look = load_appearance(tree, model_of(found.experiment))
+    look = load_appearance(tree, found.experiment.file)
     boxes = obstacles_of(found.experiment)
     write_motion_rrd(path, found.motion, found.rules, found.proof, look, boxes)
     proof, said = (
@@ -265,7 +264,6 @@ def _run_at(path: Path, reading: Reading, *, consistent: bool = False) -> Run:
         _in_memory(source),
         name=path.stem,
         settings=reading.tables.identification,
-        model=reading.file,
         doubt=reading.doubt,
         prior_error=reading.prior_error,
         bodies=reading.bodies(source) if consistent else None,

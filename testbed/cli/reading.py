@@ -235,7 +235,7 @@ class Reading:
         """The robot of the model file, with what --set says of its joints and shafts."""
         if not self.settings and self.sensor is None:
             return self.file.tree()
-        return self.tables.sensed(self.tables.robot.on(self.file.tree()), self.file)
+        return self.tables.sensed(self.tables.robot.on(self.file.tree()))
 
     def source(self, recording: Source) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""

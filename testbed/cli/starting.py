@@ -116,7 +116,7 @@ def new(
         raise typer.BadParameter(
             "name a robot's model file, or --recording and a logger's file"
         )
-    from testbed.core.base.files import replacing
+    from testbed.core.base.whole_files import write_whole
     from testbed.view import output
 
     check_outputs(out, force=force, read=(robot, *(recording or ())))
@@ -138,8 +138,7 @@ def new(
         )
     path = out or Path(f"{tomllib.loads(text)['name']}.toml")
     check_outputs(path, force=force, read=(robot,))
-    with replacing(path) as fresh:
-        fresh.write_text(text, encoding="utf-8")
+    write_whole(path, text)
     typer.echo(f"{path}: testbed run {path}")
 
 

@@ -258,7 +258,7 @@ class Mapping(MappingTable):
     """By names of your own."""
     errors: Annotated[dict[Name, Finite], Field(max_length=1000)] = {}
     """Known errors of the sensors, taken back: coefficients by name, as `"bias/Fx" = 2.0` [N]
-    (docs/instruments.md)."""
+    (docs/instruments.md). Of those that change in time, from the middle of the recording on."""
     gear: GearTable | None = None
     position: SignalTable
     velocity: SignalTable | None = None

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array
 from testbed.motion.collision_model import CollisionModel
@@ -35,16 +36,21 @@ class Distances:
 
 
 class DistanceMeter:
-    """Distances in any postures: what bounding spheres show to be near, by MuJoCo."""
+    """Distances in any postures: what bounding spheres show to be near, by MuJoCo.
 
-    def __init__(self, collision: CollisionModel, far: float = FAR) -> None:
+    Attributes:
+        collision: Shapes, and pairs to be watched.
+        far: Distances beyond are not distinguished [m].
+    """
+
+    def __init__(self, collision: CollisionModel, far: ArrayLike = FAR) -> None:
         """Set up bounds.
 
         Args:
             collision: Shapes, and pairs to be watched.
-            far: Distances beyond are not distinguished [m].
+            far: Distances beyond are not distinguished, of each pair or of all [m].
         """
-        self.collision, self._far = collision, far
+        self.collision, self.far = collision, float(np.max(far, initial=0.0))
         model = collision.model
         self._data = mujoco.MjData(model)
         counts = [geoms.shape[1] for geoms in collision.geoms]
@@ -62,12 +68,12 @@ class DistanceMeter:
             slopes: Whether derivatives are wanted; else they are zero.
         """
         shape = *q.shape[:-1], len(self.collision.pairs)
-        found = Distances(np.full(shape, self._far), np.zeros((*shape, q.shape[-1])))
+        found = Distances(np.full(shape, self.far), np.zeros((*shape, q.shape[-1])))
         for at in np.ndindex(*shape[:-1]):
             self._place(q[at])
             bounds = self._bounds()
             for k in np.argsort(bounds):
-                if bounds[k] >= self._far:
+                if bounds[k] >= self.far:
                     break
                 pair = int(self._pair[k])
                 if bounds[k] < found.values[at][pair]:
@@ -125,19 +131,21 @@ class ClearanceTerm:
         """
         self.labels = tuple(f"clearance of {name}" for name in collision.names)
         self._least = least
-        self._meter = DistanceMeter(collision, float(least.max(initial=0.0)) + NEAR)
+        self._meter = DistanceMeter(collision, least + NEAR)
         self._postures = np.zeros((0, 0))
         self._found = self._meter.measure(np.zeros((0, 0)))
 
     def values(self, samples: MotionSamples) -> Array:
         """Missing distances as shares, (k, G)."""
         return (
-            self._least[:, None] - self._measured(samples.q).values.T
+            self._least[:, None] - self._measured(samples.motion.q).values.T
         ) / CLEARANCE_UNIT
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""
-        by_q = -self._measured(samples.q).slopes.transpose(1, 2, 0) / CLEARANCE_UNIT
+        by_q = (
+            -self._measured(samples.motion.q).slopes.transpose(1, 2, 0) / CLEARANCE_UNIT
+        )
         return np.concatenate([by_q, np.zeros_like(by_q), np.zeros_like(by_q)], axis=1)
 
     def _measured(self, postures: Array) -> Distances:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.bodies.shapes.shapes import Shape
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnknownName
 from testbed.core.robot.rotations import to_quaternion
 from testbed.core.robot.tree import Tree
@@ -30,22 +30,6 @@ _KINDS = {
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Obstacle:
-    """A box around the robot, along the bedplate's axes.
-
-    Attributes:
-        centre: (3,) [m], bedplate frame.
-        half: Half lengths, (3,) [m].
-    """
-
-    centre: Array
-    half: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, centre=(3,), half=(3,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +97,7 @@ class CollisionModel:
 def collision_model(
     tree: Tree,
     shapes: Sequence[Shape],
-    obstacles: Sequence[Obstacle] = (),
+    obstacles: Sequence[Shape] = (),
     floor: float | None = None,
 ) -> CollisionModel:
     """Put a robot's shapes on its bodies, and obstacles around it.
@@ -121,7 +105,7 @@ def collision_model(
     Args:
         tree: The robot.
         shapes: On its bodies and on the bedplate.
-        obstacles: Of the user's cell.
+        obstacles: Of the user's cell, in the bedplate's frame.
         floor: Height of the floor [m], bedplate frame; None for none.
     """
     spec = mujoco.MjSpec()
@@ -138,13 +122,11 @@ def collision_model(
         body.add_joint(name=str(j), type=kind, axis=joint.axis)
         bodies.append(body)
     owners: dict[str, int] = {}
-    for number, shape in enumerate(shapes):
+    owned = [*((each, max(each.body, STANDING)) for each in shapes)]
+    owned += [(each, CELL) for each in obstacles]
+    for number, (shape, owner) in enumerate(owned):
         _add(spec, bodies[shape.body + 1], shape, f"shape {number}")
-        owners[f"shape {number}"] = max(shape.body, STANDING)
-    for number, box in enumerate(obstacles):
-        name, kind = f"obstacle {number}", _KINDS["box"]
-        spec.worldbody.add_geom(name=name, type=kind, pos=box.centre, size=box.half)
-        owners[name] = CELL
+        owners[f"shape {number}"] = owner
     if floor is not None:
         plane, size = mujoco.mjtGeom.mjGEOM_PLANE, [0, 0, 1]
         spec.worldbody.add_geom(name="floor", type=plane, pos=[0, 0, floor], size=size)

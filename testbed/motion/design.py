@@ -16,6 +16,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion
+from testbed.core.base.stages import unreported
 from testbed.core.parameters.rules import Model
 from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier
@@ -24,7 +25,7 @@ from testbed.motion.problem import InteriorPointProblem, Series, minimise
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import rest_posture, sample
 from testbed.motion.samples import SampledRows, stencil
-from testbed.motion.terms import LimitTerm
+from testbed.motion.terms import ForceTerm
 
 DRAWS = 60
 """Random motions tried for a start inside the limits."""
@@ -92,7 +93,7 @@ class Design:
 
 def design(
     problem: DesignProblem,
-    watch: Watch = lambda done, total, best: None,
+    watch: Watch = unreported,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Design:
     """Find the best motion of several searches that is proven to respect all limits.
@@ -162,7 +163,7 @@ def _search(
 ) -> InteriorPointProblem:
     """The search with these frequencies."""
     rules, information = problem.rules, problem.information
-    terms: list[LimitTerm] = list(rules.terms)
+    terms: list[ForceTerm | ClearanceTerm] = [*rules.terms]
     if rules.collision is not None:
         room = np.maximum(ROOM * rules.clearance, LEAST_ROOM)
         terms.append(ClearanceTerm(rules.collision, rules.clearance + room))

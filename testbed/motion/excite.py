@@ -12,6 +12,7 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import encode
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import few
+from testbed.core.base.stages import unreported
 from testbed.core.robot.tree import Tree
 from testbed.motion.design import Design, DesignProblem, Watch, design
 from testbed.motion.fourier import Fourier
@@ -96,7 +97,7 @@ def excite(
     problem: DesignProblem,
     random: Fourier | None = None,
     candidates: int = 1,
-    watch: Watch = lambda done, total, best: None,
+    watch: Watch = unreported,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Excitation:
     """Design a motion, and predict its precision beside that of a random one.

@@ -85,6 +85,10 @@ class Fourier(Value):
         """Where on its path at times t, (M,), as a time [s]: it runs through it as it is."""
         return t
 
+    def instants(self, count: int) -> Array:
+        """Instants of a period, evenly spaced from 0, (count,) [s]."""
+        return np.arange(count) * self.period / count
+
     def scaled(self, share: float, rest: Array) -> Fourier:
         """The same motion, smaller, about a posture, (n,): share 0 stays there."""
         offset = rest + share * (self.offset - rest)

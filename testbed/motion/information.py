@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
@@ -87,14 +88,14 @@ class RegressorRows:
 
     def rows(self, samples: Samples) -> list[Array]:
         """The rows of each channel on all unknowns, (G, U) each."""
-        slots = samples.slots[self.model][:, 0]
+        slots, speeds = samples.slots[self.model][:, 0], samples.motion.qd
         found = [
             slots[own].T @ lead for own, lead in zip(self.slots, self.lead, strict=True)
         ]
         if self.friction is not None:
             n = len(found)
             for joint, phi in enumerate(found):
-                qd, first = samples.qd[:, joint], self.friction + joint
+                qd, first = speeds[:, joint], self.friction + joint
                 phi[:, first], phi[:, first + n] = np.tanh(qd / SMOOTH), qd
         return found
 
@@ -156,19 +157,18 @@ class DesignObjective:
         count = len(self.scale)
         by_covariance = CRITERIA[self.criterion](full[:count, :count])[1]
         by_matrix = full[:, :count] @ by_covariance @ full[:count]  # times -1
-        n = samples.q.shape[1]
-        total = np.zeros((3 * n, len(samples.q)))
+        n = samples.motion.q.shape[1]
+        total = np.zeros((3 * n, samples.motion.samples))
         for part in self.parts:
             slots = samples.slots[part.model]
-            pulled = np.zeros((len(slots), len(samples.q)))
+            pulled = np.zeros(slots.shape[::2])
             for c, phi in enumerate(part.rows(samples)):
                 back = -2 * part.weights[c] * (by_matrix @ phi.T)  # (U, G)
                 pulled[part.slots[c]] += part.lead[c] @ back
                 if part.friction is not None:
                     dry, wet = back[part.friction + c], back[part.friction + n + c]
-                    total[n + c] += (
-                        dry * (1 - np.tanh(samples.qd[:, c] / SMOOTH) ** 2) / SMOOTH
-                    )
+                    sign = np.tanh(samples.motion.qd[:, c] / SMOOTH)
+                    total[n + c] += dry * (1 - sign**2) / SMOOTH
                     total[n + c] += wet
             total += samples.stencil.weights @ np.einsum("sg,seg->eg", pulled, slots)
         return total
@@ -308,9 +308,7 @@ def predict(
         pipeline: What an estimate makes of it.
     """
     count = max(DENSITY * motion.harmonics, 200)
-    times = np.arange(count) * motion.period / count
-    at = motion.at(times)
-    samples = Samples(at.q, at.qd, at.qdd, rows, None)
+    samples = Samples(motion.at(motion.instants(count)), rows, None)
     counted = moving(motion, count, pipeline)
     keep = int(pipeline.band * motion.period) if np.isfinite(pipeline.band) else count
     matrix = information.matrix(samples, counted=counted, harmonics=keep)
@@ -328,11 +326,6 @@ def predict(
 
 def moving(motion: Fourier, count: int, pipeline: Pipeline) -> NDArray[np.bool_]:
     """Whether each joint's rows count at samples of a period, (count, n)."""
-    times = np.arange(count) * motion.period / count
-    found = np.abs(motion.derivative(times, 1)) > pipeline.resting
-    near = round(pipeline.reach * count / motion.period)
-    return np.asarray(
-        np.all(
-            [np.roll(found, shift, axis=0) for shift in range(-near, near + 1)], axis=0
-        )
-    )
+    fast = np.abs(motion.derivative(motion.instants(count), 1)) > pipeline.resting
+    width = 2 * round(pipeline.reach * count / motion.period) + 1
+    return np.asarray(minimum_filter1d(fast, width, axis=0, mode="wrap"))

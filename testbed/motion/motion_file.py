@@ -17,6 +17,7 @@ from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import replacing
 from testbed.core.base.installation import version
 from testbed.core.base.toml_text import KNOWN_KEYS, Finite, Positive, checked, read_toml
+from testbed.core.base.whole_files import write_whole
 from testbed.core.robot.tree import Tree
 from testbed.motion.fourier import Fourier
 from testbed.motion.rest_to_rest import RestToRest, rest_to_rest
@@ -156,9 +157,7 @@ def write_motion(path: Path, found: Excitation, model: Path) -> None:
             for name, offset, sine, cosine in joints
         },
     }
-    with replacing(path) as fresh:
-        text = _HEAD.format(version=version()) + tomli_w.dumps(tables)
-        fresh.write_text(text, encoding="utf-8")
+    write_whole(path, _HEAD.format(version=version()) + tomli_w.dumps(tables))
 
 
 def write_trajectory(

@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve
 
 from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.parameters.rules import Model
+from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier, terms
 from testbed.motion.information import DesignObjective
 from testbed.motion.limits import Limits
 from testbed.motion.samples import SampledRows, Samples, Stencil
-from testbed.motion.terms import LimitTerm
+from testbed.motion.terms import ForceTerm
 
 WEIGHT = 20.0
 """Of the barrier at first, in all: its share of each limit is this over their number."""
@@ -66,20 +67,9 @@ class Point(Inside):
     jacobian: BlockJacobian
 
 
-class Objective(Protocol):
-    """Function to be minimised, with and without derivatives."""
-
-    def inside(self, x: Array) -> Inside:
-        """Without derivatives."""
-
-    def point(self, x: Array) -> Point:
-        """With them."""
-
-
 def minimise(
-    search: Objective,
+    search: InteriorPointProblem,
     x: Array,
-    iterations: int = STEPS,
     stop: Callable[[float], bool] | None = None,
 ) -> Point:
     """A point strictly inside the limits where the function is small.
@@ -87,7 +77,6 @@ def minimise(
     Args:
         search: The function and its limits.
         x: Where to start, strictly inside, (k,).
-        iterations: Steps at most.
         stop: Asked after every step, with the value reached.
 
     Raises:
@@ -100,7 +89,7 @@ def minimise(
     barrier, inner = WEIGHT / count, 0
     dual = barrier / -here.limits
     curvature = np.eye(len(x))
-    for step in range(iterations):
+    for step in range(STEPS):
         newton = _newton(here, dual, curvature, barrier)
         if newton is None:
             break
@@ -141,7 +130,7 @@ def _newton(
 
 
 def _length(
-    search: Objective, here: Point, move: Array, slope: float, barrier: float
+    search: InteriorPointProblem, here: Point, move: Array, slope: float, barrier: float
 ) -> float:
     """How far to go so that the barrier function falls; 0 if nowhere."""
     slack, along = -here.limits, here.jacobian.times(move)
@@ -254,10 +243,10 @@ class Series:
         """The unknowns of a motion of these frequencies, (n p,)."""
         return (motion.coefficients / self.units).ravel()
 
-    def at(self, x: Array) -> Array:
-        """q, qd and qdd at the instants, (3, G, n)."""
+    def at(self, x: Array) -> Motion:
+        """The motion at the instants."""
         each = x.reshape(self.joints, self.width)
-        return np.asarray(np.einsum("jdgp,jp->dgj", self.motion_of, each))
+        return Motion(self.times, *np.einsum("jdgp,jp->dgj", self.motion_of, each))
 
     def linear_values(self, x: Array) -> Array:
         """Shares of the linear limits less what is allowed, (n, 2, 3, G): above, below.
@@ -357,7 +346,7 @@ class InteriorPointProblem:
 
     series: Series
     information: DesignObjective
-    terms: Sequence[LimitTerm]
+    terms: Sequence[ForceTerm | ClearanceTerm]
     rows: Mapping[Model, SampledRows]
     stencil: Stencil
     names: tuple[str, ...]
@@ -405,8 +394,7 @@ class InteriorPointProblem:
         return BlockJacobian(self.series.linear, len(every), place, dense)
 
     def _samples(self, x: Array, stencil: Stencil | None) -> Samples:
-        q, qd, qdd = self.series.at(x)
-        return Samples(q, qd, qdd, self.rows, stencil)
+        return Samples(self.series.at(x), self.rows, stencil)
 
     def _limits(self, x: Array, samples: Samples) -> Array:
         values = [term.values(samples).ravel() for term in self.terms]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +19,7 @@ from testbed.motion.collision_model import CollisionModel, levers
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits
 from testbed.motion.samples import Computed
-from testbed.motion.terms import SmoothTerm, force_bounds
+from testbed.motion.terms import ForceTerm, force_bounds
 
 RATE = 1000.0
 """Samples a second at which forces are looked at first [Hz]."""
@@ -151,7 +152,7 @@ class Rules:
     tree: Tree
     limits: Limits
     margin: float
-    terms: Sequence[SmoothTerm]
+    terms: Sequence[ForceTerm]
     collision: CollisionModel | None
     clearance: Array
     diagnostics: tuple[Diagnostic, ...] = ()
@@ -169,37 +170,46 @@ def prove(motion: Fourier, rules: Rules) -> Proof:
     return Proof((*_linear(motion, rules), *forces, *distances), instants, postures)
 
 
-def seems_to_hold(motion: Fourier, rules: Rules, instants: int = GLANCE) -> bool:
+def seems_to_hold(motion: Fourier, rules: Rules) -> bool:
     """Whether all limits are kept at some instants: no proof, but quick."""
-    times, limits = np.arange(instants) * motion.period / instants, rules.limits
-    here = Computed(rules.tree, motion.at(times))
-    if any(
-        (share > rules.margin).any() for share in _shares(here.motion, limits).values()
-    ):
+    here = Computed(rules.tree, motion.at(motion.instants(GLANCE)))
+    shares = _shares(here.motion, rules.limits)
+    if any((share > rules.margin).any() for share in shares.values()):
         return False
     if any((term.values(here) > 0).any() for term in rules.terms):
         return False
     if rules.collision is None:
         return True
-    meter = DistanceMeter(
-        rules.collision, float(rules.clearance.max(initial=0)) + TOUCH
-    )
-    return bool((meter.measure(here.q).values > rules.clearance).all())
+    meter = DistanceMeter(rules.collision, rules.clearance + TOUCH)
+    return bool((meter.measure(here.motion.q).values > rules.clearance).all())
 
 
 def _linear(motion: Fourier, rules: Rules) -> list[Margin]:
     """Positions, velocities, accelerations."""
-    limits = rules.limits
     count = max(spans_of(motion.period), DENSE * motion.harmonics)
-    slack = np.cos(np.pi * motion.harmonics / count)
-    times = np.arange(count) * motion.period / count
+    slack, times = np.cos(np.pi * motion.harmonics / count), motion.instants(count)
     found = []
-    for kind, shares in _shares(motion.at(times), limits).items():
-        for name, used in zip(rules.tree.names, shares.T, strict=True):
-            worst = int(used.argmax())
-            left = rules.margin - float(used[worst] / slack)
-            found.append(Margin(f"{kind} of '{name}'", left, float(times[worst])))
+    for kind, shares in _shares(motion.at(times), rules.limits).items():
+        labels = [f"{kind} of '{name}'" for name in rules.tree.names]
+        found += margins_of(labels, rules.margin - shares.T / slack, times)
     return found
+
+
+def margins_of(
+    labels: Iterable[str], left: Array, times: Array, unit: str = ""
+) -> list[Margin]:
+    """Margins of limits, each at the instant when least is left.
+
+    Args:
+        labels: What is limited, (k,).
+        left: What is left at each instant, (k, M).
+        times: (M,) [s].
+        unit: "" for shares, "m" for distances.
+    """
+    return [
+        Margin(label, float(each.min()), float(times[each.argmin()]), unit)
+        for label, each in zip(labels, left, strict=True)
+    ]
 
 
 def _shares(motion: Motion, limits: Limits) -> dict[str, Array]:
@@ -231,14 +241,13 @@ def force_margins(path: Path, rules: Rules) -> tuple[list[Margin], int]:
             break
         count *= 2
     times = np.arange(count + 1) * path.duration / count
-    samples, found = Computed(rules.tree, path.at(times)), []
+    samples = Computed(rules.tree, path.at(times))
+    found: list[Margin] = []
     for term, excess in zip(rules.terms, lost, strict=True):
-        for label, values, more in zip(
-            term.labels, term.values(samples), excess, strict=True
-        ):
-            ends = np.maximum(values[:-1], values[1:]) + np.repeat(more, count // SPANS)
-            worst = int(ends.argmax())
-            found.append(Margin(label, float(-ends[worst]), float(times[worst])))
+        values = term.values(samples)
+        ends = np.maximum(values[:, :-1], values[:, 1:])
+        ends += np.repeat(excess, count // SPANS, axis=1)
+        found += margins_of(term.labels, -ends, times)
     return found, count
 
 
@@ -271,23 +280,15 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
     """Least distances of pairs, and how often they were measured."""
     if rules.collision is None:
         return [], 0
-    far = float(rules.clearance.max()) + FAR
-    times, distances = _advanced(motion, rules, DistanceMeter(rules.collision, far))
-    least, when = distances.min(axis=0), times[distances.argmin(axis=0)]
-    kept = rules.clearance
-    margins = [
-        Margin(
-            f"distance of {name} (over {1000 * kept[k]:.3g} mm)",
-            left,
-            float(when[k]),
-            "m",
-        )
-        for k, (name, left) in enumerate(
-            zip(rules.collision.names, (least - kept).tolist(), strict=True)
-        )
-        if least[k] < far
+    meter = DistanceMeter(rules.collision, rules.clearance + FAR)
+    times, distances = _advanced(motion, rules, meter)
+    labels = [
+        f"distance of {name} (over {1000 * kept:.3g} mm)"
+        for name, kept in zip(rules.collision.names, rules.clearance, strict=True)
     ]
-    return margins, len(times)
+    near = distances.min(axis=0) < meter.far
+    left = (distances - rules.clearance).T[near]
+    return margins_of(compress(labels, near), left, times, "m"), len(times)
 
 
 def _advanced(
@@ -357,7 +358,7 @@ def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
         wanted = rules.clearance.max()
         # others are built nearer, and would hide all else
         whole = rules.clearance == wanted
-        nearest = meter.measure(here.q).values[:, whole].min(axis=1)
+        nearest = meter.measure(here.motion.q).values[:, whole].min(axis=1)
         if (nearest < FAR).any():  # else nothing ever comes near
             found.append(Slack("clearances", "mm", 1000 * (nearest - wanted)))
     return found

@@ -9,7 +9,8 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion
-from testbed.core.dynamics.newton_euler import Motion, regressor
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.dynamics.regressor import regressor
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import barycentric, parameter_scale
 from testbed.core.robot.tree import Tree, require_tree
@@ -35,10 +36,10 @@ def rest_posture(rules: Rules) -> Array:
     for term in rules.terms:
         excess = np.maximum(excess, term.values(still).max(axis=0))
     if rules.collision is not None:
-        meter = DistanceMeter(rules.collision, float(rules.clearance.max()) + FAR)
+        meter = DistanceMeter(rules.collision, rules.clearance + FAR)
         missing = rules.clearance - meter.measure(postures).values
         excess = np.maximum(excess, missing.max(axis=1) / CLEARANCE_UNIT)
-    return rules.limits.home if excess[0] < 0 else np.asarray(postures[excess.argmin()])
+    return rules.limits.home if excess[0] < 0 else postures[excess.argmin()]
 
 
 def easiest_posture(tree: Tree, limits: Limits) -> Array:

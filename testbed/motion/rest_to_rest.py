@@ -17,7 +17,7 @@ from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.base.summary_table import Value
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.motion.fourier import Fourier
-from testbed.motion.proof import Margin, Rules, force_margins, spans_of
+from testbed.motion.proof import Margin, Rules, force_margins, margins_of, spans_of
 
 # from 0 to 1, flat at both ends
 _RATE = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
@@ -187,11 +187,8 @@ def _accelerations(start: Start, rules: Rules) -> list[Margin]:
     )
     between = step**2 / 8 * fourth  # more than at the samples
     share = (np.abs(start.derivative(times, 2)) + between) / rules.limits.acceleration
-    left, worst = rules.margin - share.max(axis=0), times[share.argmax(axis=0)]
-    return [
-        Margin(f"acceleration of '{name}'", float(left[j]), float(worst[j]))
-        for j, name in enumerate(rules.tree.names)
-    ]
+    labels = [f"acceleration of '{name}'" for name in rules.tree.names]
+    return margins_of(labels, rules.margin - share.T, times)
 
 
 def _chain(parts: list[Array], rates: list[Array], order: int) -> Array:

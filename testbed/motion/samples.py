@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -39,11 +39,12 @@ class Stencil:
         freeze(self, shifts=(None, 3, None))
         freeze(self, weights=(3 * self.shifts.shape[2], len(self.shifts)))
 
-    def around(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
-        """All looks at a motion, one after the other, (E M, n) each, of (M, n) each."""
-        moved = np.stack([q, qd, qdd]) + self.shifts[:, :, None, :]  # (E, 3, M, n)
-        flat = moved.transpose(1, 0, 2, 3).reshape(3, -1, q.shape[1])
-        return flat[0], flat[1], flat[2]
+    def around(self, motion: Motion) -> Motion:
+        """All looks at a motion of M samples, one after the other, E M samples."""
+        states = np.stack([motion.q, motion.qd, motion.qdd])
+        moved = states + self.shifts[:, :, None, :]  # (E, 3, M, n)
+        flat = moved.transpose(1, 0, 2, 3).reshape(3, -1, states.shape[2])
+        return Motion(np.tile(motion.t, len(self.shifts)), *flat)
 
 
 def stencil(tree: Tree) -> Stencil:
@@ -95,15 +96,14 @@ class SampledRows:
         self.delta = minimal.values(barycentric(tree))
         self._width = len(self.layout.channels)
 
-    def slots(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """All slots, (slots, M), of a motion of M samples, (M, n) each."""
+    def slots(self, motion: Motion) -> Array:
+        """All slots of a motion of M samples, (slots, M)."""
         from testbed.core.kernel import (
             numba_engine,  # a second to import: random motions do not need it
         )
 
-        q, qd, qdd = (
-            np.ascontiguousarray(each[:, self._joints]) for each in (q, qd, qdd)
-        )
+        states = (motion.q, motion.qd, motion.qdd)
+        q, qd, qdd = (np.array(each[:, self._joints], order="C") for each in states)
         signals = sensed(q, qd, qdd, self._width)
         if self._room is None:
             self._room = numba_engine.workspace(self.layout, signals)
@@ -134,25 +134,6 @@ SMALL = 0.05
 """Values below this share of the largest of their unit count as that large."""
 
 
-class MotionSamples(Protocol):
-    """G instants of a motion, and forces by an a-priori model."""
-
-    @property
-    def q(self) -> Array:
-        """Positions, (G, n) [rad or m]."""
-
-    @property
-    def qd(self) -> Array:
-        """Velocities, (G, n) [rad/s or m/s]."""
-
-    @property
-    def qdd(self) -> Array:
-        """Accelerations, (G, n) [rad/s^2 or m/s^2]."""
-
-    def forces(self, model: Model) -> Array:
-        """Joint forces or bedplate wrench, the pedestal's aside, (channels, G) [N m, N]."""
-
-
 @dataclass(frozen=True, eq=False)
 class Computed:
     """Instants whose forces come from the recursion of `dynamics`: the proof's witness.
@@ -165,21 +146,6 @@ class Computed:
     tree: Tree
     motion: Motion
 
-    @property
-    def q(self) -> Array:
-        """Positions, (G, n) [rad or m]."""
-        return self.motion.q
-
-    @property
-    def qd(self) -> Array:
-        """Velocities, (G, n) [rad/s or m/s]."""
-        return self.motion.qd
-
-    @property
-    def qdd(self) -> Array:
-        """Accelerations, (G, n) [rad/s^2 or m/s^2]."""
-        return self.motion.qdd
-
     def forces(self, model: Model) -> Array:
         """Joint forces or bedplate wrench, (channels, G)."""
         found = joint_forces if model == "dynamic" else base_wrench
@@ -191,26 +157,22 @@ class Samples:
     """G instants in a search, rows by the kernel, with looks around them for derivatives.
 
     Attributes:
-        q: Positions, (G, n) [rad or m].
-        qd: Velocities, (G, n) [rad/s or m/s].
-        qdd: Accelerations, (G, n) [rad/s^2 or m/s^2].
+        motion: G samples.
         rows: Rows of the models that are looked at.
         stencil: For derivatives; None if they are not wanted.
     """
 
-    q: Array
-    qd: Array
-    qdd: Array
+    motion: Motion
     rows: Mapping[Model, SampledRows]
     stencil: Stencil | None
 
     @cached_property
     def slots(self) -> Mapping[Model, Array]:
         """Slots of each model at each look, (slots, E, G); the first look is the motion."""
-        motion = (self.q, self.qd, self.qdd)
-        looks = motion if self.stencil is None else self.stencil.around(*motion)
+        motion = self.motion
+        looks = motion if self.stencil is None else self.stencil.around(motion)
         return {
-            model: rows.slots(*looks).reshape(rows.layout.rows.slots, -1, len(self.q))
+            model: rows.slots(looks).reshape(rows.layout.rows.slots, -1, motion.samples)
             for model, rows in self.rows.items()
         }
 
@@ -229,3 +191,7 @@ class Samples:
         """Their derivatives by q, then qd, then qdd, (channels, 3 n, G)."""
         assert self.stencil is not None, "derivatives were not asked for"
         return np.asarray(np.matmul(self.stencil.weights, self._seen[model]))
+
+
+MotionSamples: TypeAlias = Samples | Computed
+"""G instants of a motion, and forces by an a-priori model."""

@@ -12,16 +12,17 @@ from testbed.bodies.shapes.shapes import Shape, bounds
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ExperimentError, few
-from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.model_file import file_of
 from testbed.core.robot.tree import Tree
 from testbed.motion.clearance import FAR, DistanceMeter
 from testbed.motion.collision_model import (
     CELL,
     CollisionModel,
-    Obstacle,
     collision_model,
 )
 from testbed.motion.limits import Limits
+from testbed.motion.proof import Rules
+from testbed.motion.terms import EffortTerm, ForceTerm
 
 ALWAYS = 0.9
 """A pair that touches in this share of random postures always does: its shapes say nothing."""
@@ -48,23 +49,43 @@ class Surroundings:
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
+def rules_within(
+    tree: Tree,
+    limits: Limits,
+    margin: float,
+    terms: Iterable[ForceTerm],
+    around: Surroundings | Rules,
+) -> Rules:
+    """Rules of a motion, with the efforts of motors that are limited.
+
+    Args:
+        tree: The robot.
+        limits: Of its joints.
+        margin: Share of them that may be used.
+        terms: Limits of plate and force sensors.
+        around: Pairs of bodies to keep apart.
+    """
+    if np.isfinite(limits.effort).any():
+        terms = (*terms, EffortTerm(tree, limits, margin))
+    watched = around.collision, around.clearance, around.diagnostics
+    return Rules(tree, limits, margin, tuple(terms), *watched)
+
+
 def surroundings(
-    model: ModelFile,
     tree: Tree,
     limits: Limits,
     clearance: float,
-    obstacles: Sequence[Obstacle] = (),
+    obstacles: Sequence[Shape] = (),
     exclude: Iterable[tuple[str, str]] = (),
     floor: float | str | None = None,
 ) -> Surroundings:
     """Find the pairs of bodies that a motion can be asked to keep apart.
 
     Args:
-        model: The model file, for its shapes.
-        tree: The robot.
+        tree: The robot, its model file for shapes.
         limits: Of the joints' positions.
         clearance: Distance to be kept [m].
-        obstacles: Boxes around the robot.
+        obstacles: Shapes around the robot, in the bedplate's frame.
         exclude: Pairs that do not count, by name.
         floor: Height of the floor [m]; "off" for none; None for the lowest point of the pedestal.
 
@@ -72,6 +93,7 @@ def surroundings(
         ExperimentError: There are obstacles, and the model file has no shapes.
         UnknownName: There is no body of a name in `exclude`.
     """
+    model = file_of(tree)
     found = load_shapes(model, tree)
     said = found.diagnostics
     if not any(shape.body >= 0 for shape in found.shapes):

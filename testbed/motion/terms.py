@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -12,6 +10,7 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.dynamics.newton_euler import Motion, base_wrench, pedestal_wrench
 from testbed.core.parameters.minimal_set import minimal_set
+from testbed.core.parameters.rules import Model
 from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.core.robot.tree import Joint, Tree
 from testbed.motion.limits import Limits
@@ -33,6 +32,12 @@ class ForceBounds:
     force: Array
     moment: Array
     motion: Array
+
+    def of(self, model: Model) -> Array:
+        """Of the joints' forces, (n, W), or of the wrench, (6, W)."""
+        if model == "dynamic":
+            return self.joints
+        return np.repeat([self.force, self.moment], 3, axis=0)
 
 
 def force_bounds(tree: Tree, motion: Array) -> ForceBounds:
@@ -116,28 +121,9 @@ def _times(a: Array, b: Array) -> Array:
     return np.stack([a[0] * b[0], a[1] * b[0] + a[0] * b[1], second])
 
 
-class LimitTerm(Protocol):
-    """Some limits at every instant."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What each is a limit of, (k,)."""
-
-    def values(self, samples: MotionSamples) -> Array:
-        """Shares less what is allowed, (k, G); below zero inside."""
-
-    def slopes(self, samples: Samples) -> Array:
-        """Their derivatives by q, then qd, then qdd, (k, 3 n, G)."""
-
-
-class SmoothTerm(LimitTerm, Protocol):
-    """Limits whose second derivative by time has a bound: they can be proven between samples."""
-
-    def curvatures(self, bounds: ForceBounds) -> Array:
-        """Bounds of the second derivatives of `values` by time, (k, W) [1/s^2]."""
-
-
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+SIGNS = np.array([[1.0], [-1.0]])
+"""A limit holds for a force and for its negative."""
 PRESSURE = 100.0
 """Force at which a centre of pressure at the edge counts as a share of one [N]."""
 
@@ -175,42 +161,44 @@ class PlateRange:
         """
         known = np.flatnonzero(np.isfinite(self.wrench))
         labels = [f"plate {CHANNELS[c]}" for c in known]
-        rows = _both_signs(np.eye(6)[known] / self.wrench[known, None])
+        rows = np.kron(np.eye(6)[known] / self.wrench[known, None], SIGNS)
         most = np.full(len(rows), margin)
         if self.half is not None:  # |My| <= x Fz, |Mx| <= y Fz
             labels += [f"centre of pressure along {axis}" for axis in "xy"]
             half = np.repeat(self.half, 2)
-            pressed = _both_signs(np.eye(6)[[4, 3]])
+            pressed = np.kron(np.eye(6)[[4, 3]], SIGNS)
             pressed[:, 2] = -margin * half
             rows = np.concatenate([rows, pressed / (PRESSURE * half[:, None])])
             most = np.append(most, np.zeros(4))
         return tuple(np.repeat(labels, 2).tolist()), rows, most
 
 
-def _both_signs(rows: Array) -> Array:
-    """Each row and its negative, (2 k, c), of (k, c)."""
-    return np.stack([rows, -rows], axis=1).reshape(-1, rows.shape[1])
-
-
-class ForceTerm(ABC):
-    """Combinations of forces that stay below bounds.
+class ForceTerm:
+    """Combinations of forces that stay below bounds: they can be proven between samples.
 
     Attributes:
+        model: Whose forces: the joints' ("dynamic") or the bedplate's ("reaction").
         labels: What each is a limit of, (k,).
         rows: Combinations of the forces, (k, c).
         most: Their bounds, (k,).
     """
 
-    def __init__(self, labels: tuple[str, ...], rows: Array, most: Array) -> None:
-        self.labels, self.rows, self.most = labels, rows, most
+    def __init__(
+        self, model: Model, labels: tuple[str, ...], rows: Array, most: Array
+    ) -> None:
+        self.model, self.labels, self.rows, self.most = model, labels, rows, most
 
-    @abstractmethod
     def forces(self, samples: MotionSamples) -> Array:
         """The forces, (c, G)."""
+        return samples.forces(self.model)
 
-    @abstractmethod
     def force_slopes(self, samples: Samples) -> Array:
         """Their derivatives by q, then qd, then qdd, (c, 3 n, G)."""
+        return samples.force_slopes(self.model)
+
+    def force_curvatures(self, bounds: ForceBounds) -> Array:
+        """Bounds of their second derivatives by time, (c, W)."""
+        return bounds.of(self.model)
 
     def values(self, samples: MotionSamples) -> Array:
         """Shares less what is allowed, (k, G)."""
@@ -219,6 +207,10 @@ class ForceTerm(ABC):
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""
         return np.tensordot(self.rows, self.force_slopes(samples), 1)
+
+    def curvatures(self, bounds: ForceBounds) -> Array:
+        """Bounds of the second derivatives of `values` by time, (k, W) [1/s^2]."""
+        return np.abs(self.rows) @ self.force_curvatures(bounds)
 
 
 class PlateTerm(ForceTerm):
@@ -233,22 +225,7 @@ class PlateTerm(ForceTerm):
             margin: Share of each range that may be used.
         """
         labels, rows, most = plate.rows(margin)
-        super().__init__(labels, rows, most - rows @ pedestal)
-
-    def forces(self, samples: MotionSamples) -> Array:
-        """The bedplate's wrench, the pedestal's aside, (6, G)."""
-        return samples.forces("reaction")
-
-    def force_slopes(self, samples: Samples) -> Array:
-        """Its derivatives, (6, 3 n, G)."""
-        return samples.force_slopes("reaction")
-
-    def curvatures(self, bounds: ForceBounds) -> Array:
-        """Bounds of second derivatives by time, (k, W)."""
-        force, moment = (
-            np.linalg.norm(part, axis=1) for part in np.hsplit(self.rows, 2)
-        )
-        return np.outer(force, bounds.force) + np.outer(moment, bounds.moment)
+        super().__init__("reaction", labels, rows, most - rows @ pedestal)
 
 
 class SensorTerm(PlateTerm):
@@ -273,33 +250,28 @@ class SensorTerm(PlateTerm):
         """
         super().__init__(ranges, pedestal_wrench(beyond), margin)
         self.labels = tuple(label.replace("plate", name) for label in self.labels)
-        self._beyond, self._joints = (
-            beyond,
-            [tree.index(joint) for joint in beyond.names],
-        )
-        self._sampled = SampledRows(
-            beyond, minimal_set(beyond, "reaction"), self._joints
-        )
+        self._beyond = beyond
+        self._joints = [tree.index(joint) for joint in beyond.names]
+        minimal = minimal_set(beyond, "reaction")
+        self._sampled = SampledRows(beyond, minimal, self._joints)
 
     def forces(self, samples: MotionSamples) -> Array:
         """The sensor's wrench, (6, G)."""
-        own = (each[:, self._joints] for each in (samples.q, samples.qd, samples.qdd))
-        return base_wrench(
-            self._beyond, Motion(np.arange(float(len(samples.q))), *own)
-        ).T
+        at = samples.motion
+        own = (each[:, self._joints] for each in (at.q, at.qd, at.qdd))
+        return base_wrench(self._beyond, Motion(at.t, *own)).T
 
     def force_slopes(self, samples: Samples) -> Array:
         """Its derivatives, (6, 3 n, G)."""
         assert samples.stencil is not None, "derivatives were not asked for"
-        looks = samples.stencil.around(samples.q, samples.qd, samples.qdd)
-        wrench = self._sampled.model @ self._sampled.slots(*looks)
-        return samples.stencil.weights @ wrench.reshape(6, -1, len(samples.q))
+        looks = samples.stencil.around(samples.motion)
+        wrench = self._sampled.model @ self._sampled.slots(looks)
+        return samples.stencil.weights @ wrench.reshape(6, -1, samples.motion.samples)
 
-    def curvatures(self, bounds: ForceBounds) -> Array:
-        """Bounds of second derivatives by time, (k, W)."""
-        return super().curvatures(
-            force_bounds(self._beyond, bounds.motion[:, self._joints])
-        )
+    def force_curvatures(self, bounds: ForceBounds) -> Array:
+        """Bounds of its second derivatives by time, (6, W)."""
+        own = force_bounds(self._beyond, bounds.motion[:, self._joints])
+        return own.of(self.model)
 
 
 class EffortTerm(ForceTerm):
@@ -318,26 +290,25 @@ class EffortTerm(ForceTerm):
         """
         limited = np.flatnonzero(np.isfinite(limits.effort))
         names = np.repeat(np.array(tree.names)[limited], 2).tolist()
-        self._viscous, self._rotor = (
-            VISCOUS.coefficients(tree),
-            ROTOR.coefficients(tree),
-        )
-        most = np.repeat(
-            margin - (COULOMB.coefficients(tree) / limits.effort)[limited], 2
-        )
+        self._viscous = VISCOUS.coefficients(tree)
+        self._rotor = ROTOR.coefficients(tree)
+        dry = (COULOMB.coefficients(tree) / limits.effort)[limited]
+        most = np.repeat(margin - dry, 2)
         for name, left in zip(names, most, strict=True):
             if left <= 0:
                 raise InfeasibleMotion(
                     f"the motor of joint '{name}' is too weak for its dry friction: nothing of its "
                     "effort limit is left for a motion; correct max_effort or coulomb"
                 )
-        rows = _both_signs(np.eye(tree.n)[limited] / limits.effort[limited, None])
-        super().__init__(tuple(f"effort of '{name}'" for name in names), rows, most)
+        rows = np.kron(np.eye(tree.n)[limited] / limits.effort[limited, None], SIGNS)
+        labels = tuple(f"effort of '{name}'" for name in names)
+        super().__init__("dynamic", labels, rows, most)
 
     def forces(self, samples: MotionSamples) -> Array:
         """Torques of the motors, dry friction aside, (n, G)."""
-        lost = self._viscous * samples.qd + self._rotor * samples.qdd
-        return samples.forces("dynamic") + lost.T
+        return super().forces(samples) + self._lost(
+            samples.motion.qd.T, samples.motion.qdd.T
+        )
 
     def force_slopes(self, samples: Samples) -> Array:
         """Their derivatives, (n, 3 n, G)."""
@@ -345,12 +316,12 @@ class EffortTerm(ForceTerm):
         own = np.hstack(
             [np.diag(each) for each in (nothing, self._viscous, self._rotor)]
         )
-        return samples.force_slopes("dynamic") + own[:, :, None]
+        return super().force_slopes(samples) + own[:, :, None]
 
-    def curvatures(self, bounds: ForceBounds) -> Array:
-        """Bounds of second derivatives by time, (k, W)."""
-        lost = (
-            self._viscous[:, None] * bounds.motion[3]
-            + self._rotor[:, None] * bounds.motion[4]
-        )
-        return np.asarray(np.abs(self.rows) @ (bounds.joints + lost))
+    def force_curvatures(self, bounds: ForceBounds) -> Array:
+        """Bounds of their second derivatives by time, (n, W)."""
+        return super().force_curvatures(bounds) + self._lost(*bounds.motion[3:])
+
+    def _lost(self, qd: Array, qdd: Array) -> Array:
+        """Viscous friction and what rotors take, (n, ...), of rates, (n, ...) each."""
+        return self._viscous[:, None] * qd + self._rotor[:, None] * qdd

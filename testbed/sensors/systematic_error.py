@@ -3,6 +3,10 @@
 One function, `effect`, says what a sensor shows; the rest follows from it unless a class has
 formulas of its own: the simulation, the regressor columns (central differences by the
 coefficients), the correction of a recording (fixed-point iteration).
+
+Time is from the first sample on in a simulation, from the middle of the recording on in estimates
+and corrections: gains that grow by r (1/s) from time 0 in T seconds are a gain of 1 + r T / 2,
+which grows by r / (1 + r T / 2).
 """
 
 from __future__ import annotations
@@ -104,7 +108,7 @@ class SystematicError(SensorError):
 
         Args:
             signal: (M, c).
-            time: (M,) [s].
+            time: From the first sample on, or from the middle, (M,) [s].
             values: Of the coefficients, (k,).
         """
 

@@ -23,8 +23,8 @@ from rich.table import Table as RichTable
 from testbed.core.base.codec import json_text
 from testbed.core.base.diagnostics import Diagnostic, ordered, paragraphs
 from testbed.core.base.errors import plural, printable, visible
-from testbed.core.base.files import replacing
 from testbed.core.base.stages import stage, stages
+from testbed.core.base.whole_files import write_whole
 
 if TYPE_CHECKING:
     from testbed.view.section import Table
@@ -46,8 +46,7 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> None:
         content: What it shows.
     """
     text = rendered(template, content)
-    with replacing(path) as fresh:
-        fresh.write_text(text, encoding="utf-8")
+    write_whole(path, text)
 
 
 def rendered(template: str, content: dict[str, Any]) -> str:

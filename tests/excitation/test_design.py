@@ -29,7 +29,7 @@ from testbed.motion.limits import limits_of, motor_efforts
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import random_motion
 from testbed.motion.samples import SMALL, SampledRows
-from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
+from testbed.motion.terms import EffortTerm, ForceTerm, PlateRange, PlateTerm
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
 from tests.helpers.strategies import rngs
@@ -74,7 +74,7 @@ def asked_of(name: str, instrument: Instrument = "plate", of: CriterionName = "a
     tree, rows = arm(name)
     limits, pedestal = limits_of(tree), tb.pedestal_wrench(tree)
     plate = PlateRange(FAR, np.array([1.0, 1.5]) if name == "gantry" else None)
-    terms: list[SmoothTerm] = [PlateTerm(plate, pedestal, 0.95)]
+    terms: list[ForceTerm] = [PlateTerm(plate, pedestal, 0.95)]
     if np.isfinite(limits.effort).any():
         terms.append(EffortTerm(tree, limits, 0.95))
     rules = Rules(tree, limits, 0.95, tuple(terms), None, np.zeros(0))

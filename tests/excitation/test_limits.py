@@ -17,7 +17,7 @@ from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.rotations import from_vector
 from testbed.motion.clearance import FAR, ClearanceTerm, DistanceMeter
-from testbed.motion.collision_model import CELL, FLOOR, STANDING, Obstacle, collision_model, levers
+from testbed.motion.collision_model import CELL, FLOOR, STANDING, collision_model, levers
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import SPANS, Rules, prove, seems_to_hold, spans_of, suprema
@@ -201,7 +201,7 @@ def test_a_force_sensor_is_a_plate_that_moves(tree: tb.Tree, rng: np.random.Gene
         return np.array([s * wrench[:, k] / RANGE[k] for k in (0, 2, 3, 4) for s in (1, -1)]) - 0.9
 
     at = motion.at(np.linspace(0, motion.period, 40))
-    samples = Samples(at.q, at.qd, at.qdd, {}, stencil(tree))
+    samples = Samples(at, {}, stencil(tree))
     np.testing.assert_allclose(term.values(samples), shares(at), atol=1e-12)
     away, slopes = rng.normal(size=(3, tree.n)), term.slopes(samples)
     here = np.stack([at.q, at.qd, at.qdd])
@@ -333,7 +333,8 @@ def test_distances_of_balls_are_those_of_their_centres_and_change_as_differences
         assert {j for j in range(tree.n) if row[j] > 0} == between  # others move neither or both
     term = ClearanceTerm(collision, np.full(len(collision.pairs), 0.05))
     for q in rng.uniform(limits.low, limits.high, (2, 6, tree.n)):
-        samples, found = Samples(q, q, q, {}, None), DistanceMeter(collision, 0.15).measure(q)
+        samples = Samples(tb.Motion(np.arange(6.0), q, q, q), {}, None)
+        found = DistanceMeter(collision, 0.15).measure(q)
         np.testing.assert_allclose(term.values(samples), (0.05 - found.values.T) / 0.1)
 
 
@@ -368,7 +369,7 @@ def test_shapes_that_are_passed_over_are_not_the_nearest(
 def test_what_stands_around_the_robot_is_watched_from_the_first_link_on(puma: tb.Tree) -> None:
     """The first link touches the pedestal, stands on the floor, and has to keep clear of a box."""
     shapes = [ball(j, 0.05, np.zeros(3)) for j in range(-1, 3)]
-    box = Obstacle(np.array([1.0, 0, 0]), np.array([0.1, 0.2, 0.3]))
+    box = Shape(-1, "box", np.array([0.1, 0.2, 0.3]), np.array([1.0, 0, 0]), np.eye(3), GREY)
     found = distances(puma, *shapes, obstacles=[box], floor=-2.0)
     around = {(CELL, 0), (CELL, 1), (CELL, 2), (FLOOR, 1), (FLOOR, 2)}
     assert {(STANDING, 1), (STANDING, 2), (0, 2), *around} == set(found)

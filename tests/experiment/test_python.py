@@ -136,7 +136,7 @@ def test_what_is_exchanged_is_named(signals: Signals) -> None:
 def test_public_values_print_on_a_screen(signals: Signals, tmp_path: Path) -> None:
     robot, data, plate, torque = signals
     found = tb.predict(data, plate, torque)
-    assert len(found.time) == len(found.signals[0].measured) == found.to_frame()["time"].__len__()
+    assert len(found.time) == len(found.channels[0].measured) == found.to_frame()["time"].__len__()
     rig, experiment = tb.Rig(robot), tb.Experiment.from_toml(tb.shipped("table6"))
     plain = (robot, robot.joints[0], tb.minimal_set(robot, "wrench"), rig.sensors[0], tb.Tilt())
     results = (data, plate, plate + torque, found, tb.validate(plate, data), tb.equations(robot))

@@ -99,6 +99,36 @@ def test_rounding_is_no_scale_and_friction_that_was_not_simulated_is_no_truth() 
     assert run.metrics["friction_max_relative_error"] > 1.0
 
 
+def test_friction_of_effects_is_true() -> None:
+    """Else a right coefficient of a law that no model file states is called wrong."""
+    tree, joint = robot("puma"), "elbow"
+    j = tree.index(joint)
+    recording = noisy(ideal(tree))
+    speed, torque = recording.measured("velocity"), recording.measured("torque").copy()
+    dip = np.sign(speed[:, 1]) * np.exp(-((speed[:, 1] / 0.3) ** 2))
+    torque[:, j] += 4.0 * speed[:, j] * np.abs(speed[:, j]) + 2.0 * speed[:, j]
+    torque[:, 1] += 3.0 * dip
+    effects = (
+        {"kind": "friction_term", "term": "quadratic", "coefficient": {joint: 4.0}},
+        {"kind": "friction_term", "term": "viscous", "coefficient": {joint: 2.0}},
+        {"kind": "stribeck_friction", "coefficient": {tree.names[1]: 3.0}, "speed": 0.3},
+        {"kind": "warming_drives", "viscous": 0.1},
+    )
+    asked = experiment().with_(simulation={"effect": effects})
+    terms = ("coulomb", "viscous", f"quadratic/{joint}", f"stribeck@0.3/{tree.names[1]}")
+    settings = replace(EXACT, terms=terms)
+    run = tb.assemble_run(
+        tree, replace(recording, torque=torque), name="made", settings=settings, experiment=asked
+    )
+    assert run.score is not None
+    errors = run.score.errors["internal"]
+    assert run.truths[f"quadratic/{joint}"] == 4.0
+    assert run.truths[f"viscous/{joint}"] == tree.joints[j].viscous + 2.0
+    assert run.truths[f"stribeck@0.3/{tree.names[1]}"] == 3.0
+    assert np.abs(errors.z).max() < 5.0
+    assert not list(systematic_errors(run.estimates["internal"], errors))
+
+
 @pytest.mark.parametrize("name", ["puma", "gantry"])
 def test_accuracy_is_what_another_robot_would_do(name: str) -> None:
     """Or the headline praises the wrong estimate; by inverse dynamics of slightly other bodies."""
@@ -153,7 +183,7 @@ def test_one_signal_is_enough_for_one_method_and_its_metrics() -> None:
         assert {name.partition("_")[0] for name in run.metrics} <= {method, "friction"}
         assert run.verdicts == {f"{m}_max_z": m == method for m in METHODS}
         assert not run.as_expected
-        assert [signal.kind for signal in predict(run).signals] == [SIGNAL_OF[method]]
+        assert {each.kind for each in predict(run).channels} == {SIGNAL_OF[method]}
     run = run_of(tree, replace(recording, wrench=None, torque=None), experiment())
     assert (run.estimates, run.metrics, set(run.failures)) == ({}, {}, set(METHODS))
 
@@ -220,11 +250,10 @@ def test_one_low_pass_for_everything_and_short_recordings_all_the_same() -> None
     smooth, weights = found.smoothed(10.0), row_weights(found.recording.rate, 10.0)
     reach = len(weights) // 2
     np.testing.assert_array_equal(smooth.motion.t, found.motion.t[reach:-reach])
-    for before, after in zip(found.signals, smooth.signals, strict=True):
+    for before, after in zip(found.channels, smooth.channels, strict=True):
         for method in METHODS:
-            columns = before.residual(method).T
-            wanted = np.column_stack([np.convolve(v, weights, "valid") for v in columns])
-            np.testing.assert_allclose(after.residual(method), wanted, rtol=1e-9, atol=1e-9)
+            wanted = np.convolve(before.residuals[method], weights, "valid")
+            np.testing.assert_allclose(after.residuals[method], wanted, rtol=1e-9, atol=1e-9)
     states = ideal(tree)
     encoders = replace(states, velocity=None, acceleration=None).part(0, 5)
     seen = predict(assemble_run(tree, encoders, name="short")).motion

@@ -25,7 +25,6 @@ from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.excite import excite, frequencies_of
-from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.motions import motion_of, rules_of
 from testbed.lab.experiment.read_result import (
     LARGEST_RESULT,
@@ -359,7 +358,7 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     stated = estimate.with_(names=tuple(names), covariance=covariance)
     tree = found.tree
     options = ConsistencyOptions()
-    kept = KeptResult(tree, tb.Settings(), model_of(asked()), tree, options, (stated,))
+    kept = KeptResult(tree, tb.Settings(), tree, options, (stated,))
     np.testing.assert_array_equal(prior_covariance(kept, asked()), estimate.covariance)
     with refuses(TestbedError, "internal"):
         prior_covariance(kept, asked("puma", "excitation.instrument=joints"))

@@ -245,6 +245,20 @@ def test_what_is_left_is_what_plain_fits_leave(reach: int) -> None:
     np.testing.assert_allclose(found.with_each([0, 2], [1, 3, 5]), one_more, rtol=1e-9)
 
 
+@pytest.mark.parametrize("duration", [1.5, 3.0])
+def test_terms_of_a_short_recording_are_those_of_every_joint(duration: float) -> None:
+    """Parts of it that have no row leave nothing, and gain nothing."""
+    tree = driven("puma")
+    recording = measured(tree, duration=duration)
+    found = findings(tree, recording, SETTINGS, choose=True)
+    kinds = [tuple(term.law.kind for term in each.terms) for each in found.estimates]
+    assert kinds == [TERMS] * tree.n
+    rows = np.arange(12.0).reshape(1, 6, 2)
+    none, some, *_ = Folds(np.array([0, 0, 4, 6])).products([rows]).unseen
+    assert not none.any()
+    np.testing.assert_array_equal(some[0], rows[0, :4].T @ rows[0, :4])
+
+
 @cache
 def two_motions() -> tuple[tb.Recording, tb.Recording]:
     words = ["motion.duration=8", "motion.candidates=1"]

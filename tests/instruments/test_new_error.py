@@ -92,6 +92,15 @@ def test_one_file_adds_one_error_everywhere(drift: type[SensorError], tmp_path: 
     assert f'[errors] "{KIND}/Fx" = ' in proposed[0].remedy
     assert not any(each.code == "plate.sensor-error" for each in assess(tree, good).diagnostics)
     assert in_words(drift).summary.startswith("Sensitivities that drift")
+    # simulated from time 0, proposed from the middle on, relative to the gain there
+    late = replace(good, wrench=wrench * (1 + RATE * time[:, None] * np.eye(6)[2]))
+    line = next(d.remedy for d in assess(tree, late).diagnostics if d.code == "plate.sensor-error")
+    value = float(line.partition('/Fz" = ')[2].partition(",")[0])
+    gain = 1 + RATE * time.mean()
+    assert value == pytest.approx(RATE / gain, rel=0.005)
+    back = wrench * (1 + RATE * time[:, None] * np.eye(6)[2]) / (1 + value * centred(time))
+    again = assess(tree, replace(good, wrench=np.where(np.eye(6)[2], back / gain, wrench)))
+    assert not any(each.code.startswith("plate.") for each in again.diagnostics)
     log = some_log()
     text = f'errors = {{ "{KIND}/Fx" = 0.1 }}\n' + npz(tmp_path, log)
     back = imported(tmp_path, text)

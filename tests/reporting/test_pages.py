@@ -142,24 +142,22 @@ def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
     smooth = tb.predict(run).smoothed(10.0)
     figure = sections(tb.predict(run))[0]
     panels, rows = iter(figure.panels), iter(figure.table.rows)
-    for signal in smooth.signals:
-        for c, channel in enumerate(signal.channels):
-            panel, row = next(panels), dict(zip(figure.table.heads, next(rows), strict=True))
-            assert isinstance(panel, Panel)
-            assert panel.title == f"{channel} [{signal.units[c]}]"
-            spread = signal.measured[:, c].std()
-            assert float(row["spread (rms)"]) == pytest.approx(spread, rel=0.01)
-            for method in METHODS:
-                rest = signal.residual(method)[:, c]
-                size = np.sqrt(np.mean(rest**2))
-                assert float(row[f"residual rms, {NAMES[method]}"]) == pytest.approx(size, rel=0.01)
-                share = float(row[f"of spread, {NAMES[method]}"].rstrip("% "))
-                assert share == pytest.approx(100 * size / spread, rel=0.06)
-            below = panel.below[f"residual [{signal.units[c]}]"]
-            for method in signal.predicted.keys() & below.keys():
-                time, drawn = below[method]
-                at = np.searchsorted(smooth.motion.t, time)
-                np.testing.assert_array_equal(drawn, signal.residual(method)[at, c])
+    for channel in smooth.channels:
+        panel, row = next(panels), dict(zip(figure.table.heads, next(rows), strict=True))
+        assert isinstance(panel, Panel)
+        assert panel.title == f"{channel.name} [{channel.unit}]"
+        spread = channel.measured.std()
+        assert float(row["spread (rms)"]) == pytest.approx(spread, rel=0.01)
+        for method in METHODS:
+            size = np.sqrt(np.mean(channel.residuals[method] ** 2))
+            assert float(row[f"residual rms, {NAMES[method]}"]) == pytest.approx(size, rel=0.01)
+            share = float(row[f"of spread, {NAMES[method]}"].rstrip("% "))
+            assert share == pytest.approx(100 * size / spread, rel=0.06)
+        below = panel.below[f"residual [{channel.unit}]"]
+        for method in channel.predicted.keys() & below.keys():
+            time, drawn = below[method]
+            at = np.searchsorted(smooth.motion.t, time)
+            np.testing.assert_array_equal(drawn, channel.residuals[method][at])
     assert [*panels, *rows] == []
 
 

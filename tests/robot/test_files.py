@@ -21,13 +21,14 @@ import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
 from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.robot.drive_torque import drive_torque, friction_torque
-from testbed.core.robot.friction import LAWS, joint_law, joint_terms
+from testbed.core.robot.friction import LAWS, ROTOR, joint_law, joint_terms
 from testbed.core.robot.locks import Travel
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.parsing import capture_stderr
 from testbed.core.robot.refusals import FreeRootError
 from testbed.core.robot.tree import FARTHEST, SETTABLE
 from testbed.lab.simulation.plant import build_plant
+from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, assert_same_tree, random_robot
 from tests.helpers.strategies import Rng, few, rngs, robots, trees, wrong_numbers
@@ -462,6 +463,8 @@ UNITS = {
     "rotor": ("kg m^2", "kg"), "asymmetric": ("N m s/rad", "N s/m"),
     "quadratic": ("N m s^2/rad^2", "N s^2/m^2"), "square_root": ("N m s^.5/rad^.5", "N s^.5/m^.5"),
 }  # fmt: skip
+COLUMNS = dict(zip(UNITS, [-1.0, -0.25, 1.0, 3.0, 0.25, -0.0625, -0.5], strict=True))
+"""Of the laws that are shipped, at a velocity of -0.25 and an acceleration of 3."""
 
 
 @given(trees((2, 6)), rngs)
@@ -480,14 +483,24 @@ def test_friction_and_rotors_are_the_textbooks_with_their_units(tree: tb.Tree, r
     np.testing.assert_allclose(friction_torque(tree, qd, 0.05), smooth, rtol=1e-12)
     for term in joint_terms(tree, LAWS):
         joint = tree.joints[term.joint]
-        assert term.unit(tree) == UNITS[term.law.kind][not joint.revolute]
+        units = UNITS.get(term.law.kind, (term.law.turning, term.law.sliding))
+        assert term.unit(tree) == units[not joint.revolute]
         assert term.name(tree) == f"{term.law.kind}/{joint.name}"
 
 
 def test_laws_are_found_by_name() -> None:
-    """Another law than the one asked for would be fitted."""
-    columns = [float(joint_law(law.kind).column(-0.25, 3.0)) for law in LAWS]
-    assert columns == [-1.0, -0.25, 1.0, 3.0, 0.25, -0.0625, -0.5]
+    """Another law than the one asked for would be fitted; a file adds one."""
+    columns = {kind: float(joint_law(kind).column(-0.25, 3.0)) for kind in COLUMNS}
+    assert columns == COLUMNS
+    files = {path.stem for path in (ROOT / "testbed/core/robot/laws").glob("[a-z]*.py")}
+    assert files == {law.kind for law in LAWS[4:]}
+    speeds = np.linspace(-2.0, 2.0, 9)
+    for law in LAWS:
+        assert joint_law(law.kind) is law
+        assert law.columns(speeds, speeds).shape == speeds.shape
+        assert np.isfinite(law.columns(speeds, speeds)).all()
+        sliding = law.turning.replace("N m", "N").replace("rad", "m")  # torque to force
+        assert law == ROTOR or law.sliding == sliding
     assert joint_law("stribeck@0.08").column(-0.08, 0.0) == pytest.approx(-np.exp(-1))
     for wrong in ("viscos", *(f"stribeck@{x}" for x in ("", "0", "fast", "-1", "inf"))):
         with refuses(UnknownName, f"'{wrong}'", "viscous", "stribeck@0.1"):

@@ -17,12 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from testbed.bodies.shapes.appearance import load_appearance
-from testbed.bodies.shapes.shapes import bounds
+from testbed.bodies.shapes.shapes import Shape, bounds
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import ViewerError
 from testbed.core.estimation.estimate import METHODS
-from testbed.motion.collision_model import Obstacle
 from testbed.view.viewer.blueprint import blueprint
 from testbed.view.viewer.curves import BINS, FEW, thinned
 from testbed.view.viewer.live import Live, open_viewer, serve
@@ -56,17 +55,16 @@ def test_signals_predictions_and_residuals_are_in_the_file() -> None:
     """Curves one over the other are all seen."""
     shown, path = scene("ur5"), rrd("ur5")
     for found, at in ((shown.predictions, ""), (shown.smooth, "/residual")):
-        for signal in found.signals:
-            for c, channel in enumerate(signal.channels):
-                every = [signal.residual(m)[:, c] for m in METHODS] if at else [
-                    signal.measured[:, c], *(signal.predicted[m][:, c] for m in METHODS)
-                ]  # fmt: skip
-                place = f"{at}/{signal.kind}/{channel}"
-                written = columns(path, place, SCALARS).reshape(-1, len(every))
-                _, wanted = thinned(found.motion.t, np.column_stack(every))
-                np.testing.assert_array_equal(written, wanted)
-                widths = columns(path, place, "SeriesLines:widths", static=True)
-                assert (np.diff(widths) <= -1.0).all()
+        for channel in found.channels:
+            every = [channel.residuals[m] for m in METHODS] if at else [
+                channel.measured, *(channel.predicted[m] for m in METHODS)
+            ]  # fmt: skip
+            place = f"{at}/{channel.kind}/{channel.name}"
+            written = columns(path, place, SCALARS).reshape(-1, len(every))
+            _, wanted = thinned(found.motion.t, np.column_stack(every))
+            np.testing.assert_array_equal(written, wanted)
+            widths = columns(path, place, "SeriesLines:widths", static=True)
+            assert (np.diff(widths) <= -1.0).all()
     written = columns(path, "/position", SCALARS).reshape(-1, shown.run.tree.n)
     recording = shown.run.recording
     np.testing.assert_array_equal(written, thinned(recording.time, recording.position)[1])
@@ -179,14 +177,15 @@ def test_notes_say_every_warning_and_names_are_no_markup() -> None:
 @slow
 def test_a_motion_is_shown_with_no_less_left_than_is_proven(tmp_path: Path) -> None:
     found = checked()
-    box = Obstacle(np.array([1.0, 0, 0.5]), np.array([0.1, 0.2, 0.5]))
+    half, centre = np.array([0.1, 0.2, 0.5]), np.array([1.0, 0, 0.5])
+    box = Shape(-1, "box", half, centre, np.eye(3), np.ones(4))
     look, path = load_appearance(found.rules.tree), tmp_path / "motion.rrd"
     write_motion_rrd(path, found.motion, found.rules, found.proof, look, (box,))
     left = columns(path, "/left/1", SCALARS)
     proven = 100 * min(m.left for m in found.proof.margins if m.label.startswith("velocity"))
     assert proven <= left.min() <= proven + 1.0
     size = columns(path, "/world/obstacles", "Boxes3D:half_sizes", static=True)
-    np.testing.assert_allclose(size.ravel(), box.half, rtol=1e-6)
+    np.testing.assert_allclose(size.ravel(), box.size, rtol=1e-6)
     motion = found.motion.at(np.linspace(0, found.motion.period, len(left))).q
     assert_stands(path, ROOT / "models/puma562.urdf", motion, found.rules.tree.names)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from testbed.applications.drives.friction_curves import DriveEstimate
 from testbed.applications.drives.identify_drives import DriveFindings
-from testbed.core.base.files import replacing
+from testbed.core.base.whole_files import write_whole
 from testbed.core.robot.friction import (
     COULOMB,
     LOAD,
@@ -119,5 +119,4 @@ def write_friction(found: DriveFindings, path: Path) -> None:
         path: The file.
     """
     text = table(found) if path.suffix.lower() == ".csv" else bam_file(found)
-    with replacing(path) as fresh:
-        fresh.write_text(text, encoding="utf-8")
+    write_whole(path, text)

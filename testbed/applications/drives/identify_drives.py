@@ -31,6 +31,7 @@ from testbed.core.base.blas import eigh
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.gaussian import Gaussian
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
@@ -38,7 +39,6 @@ from testbed.core.estimation.regression.normal_equations import (
     standard_deviations,
     unit_diagonal,
 )
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
@@ -276,7 +276,7 @@ def identify_drives(
     settings: Settings = DEFAULTS,
     choose: bool = False,
     threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
 ) -> DriveFindings:
     """Torque constants, the joints' own terms and friction curves; plate and torques together.
 

@@ -342,10 +342,10 @@ def _fits(
     plain = {joint: _in_units(each.finish()) for joint, each in sums.items()}
     replicas = {
         joint: [
-            Replicas(fit.noise, given, SEED + k)
+            Replicas(fit.noise, SEED + k)
             for k in range(math.ceil(POOLED / REPLICAS / len(fit.values)))
         ]
-        for joint, (fit, given, _) in plain.items()
+        for joint, (fit, _, _) in plain.items()
     }
     for joint, part in _parts(torques, own):
         for each in replicas[joint]:

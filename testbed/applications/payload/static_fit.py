@@ -94,9 +94,18 @@ class RestFit:
         return self.found[9:]
 
     @property
+    def arm(self) -> float:
+        """Distance of the centre of mass from the sensor's origin [m]."""
+        return float(np.linalg.norm(self.centre))
+
+    def mass(self, gravity: Array) -> float:
+        """Mass of the tool under a gravity, (3,) [kg]."""
+        return float(np.linalg.norm(self.weight) / np.linalg.norm(gravity))
+
+    @property
     def share(self) -> float:
         """Rms residual, moments by the centre's lever, over the tool's weight."""
-        lever = max(float(np.linalg.norm(self.centre)), LEVER)
+        lever = max(self.arm, LEVER)
         return float(
             max(self.scale[0], self.scale[1] / lever) / np.linalg.norm(self.weight)
         )

@@ -71,12 +71,11 @@ def diagnose_tool(
         if fitting:
             code = min(fitting, key=lambda each: _is_behind(others[each], ahead))
             other = others[code]
-            mass = float(np.linalg.norm(other.weight) / np.linalg.norm(tree.gravity))
             yield diagnose(
                 f"tool.{code}",
                 residual=fit.scale,
                 left=other.scale,
-                mass=mass,
+                mass=other.mass(tree.gravity),
                 place=_listed(other.centre),
             )
             return
@@ -91,10 +90,9 @@ def diagnose_tool(
 
 def _is_behind(fit: RestFit, ahead: Array) -> bool:
     """Whether a centre of mass is on the robot's side of the sensor."""
-    place, arm = fit.centre, float(np.linalg.norm(fit.centre))
-    if arm <= CLEAR * _centre_sigma(fit):
+    if fit.arm <= CLEAR * _centre_sigma(fit):
         return False
-    return bool(place @ ahead < BEHIND * arm * np.linalg.norm(ahead))
+    return bool(fit.centre @ ahead < BEHIND * fit.arm * np.linalg.norm(ahead))
 
 
 def _centre_sigma(fit: RestFit) -> float:
@@ -116,29 +114,30 @@ def _implausible(fit: RestFit, gravity: Array, ahead: Array) -> Iterator[Diagnos
         code, causes = "wall", []
     elif tilt > max(LEVEL, CLEAR * sigma):
         code = "level"
-    arm = float(np.linalg.norm(fit.centre))
     if behind and code != "upwards":
-        yield diagnose("tool.behind", value=arm)
+        yield diagnose("tool.behind", value=fit.arm)
     if code:
         pull = _listed(size * fit.weight / np.linalg.norm(fit.weight))
         angle, doubt = np.rad2deg([tilt, sigma]).tolist()
         yield diagnose(
             f"tool.{code}", value=angle, sigma=doubt, causes=causes, gravity=pull
         )
-    mass = float(np.linalg.norm(fit.weight)) / size
-    units = _unit_systems(fit, mass, arm)
-    near = arm - CLEAR * _centre_sigma(fit)
+    mass = fit.mass(gravity)
+    units = _unit_systems(fit, mass)
+    near = fit.arm - CLEAR * _centre_sigma(fit)
     if sure and mass < (THINNEST if units else AIR) * near**3:
-        yield diagnose("tool.reach", value=arm, mass=mass, causes=units or ["no-unit"])
+        yield diagnose(
+            "tool.reach", value=fit.arm, mass=mass, causes=units or ["no-unit"]
+        )
 
 
-def _unit_systems(fit: RestFit, mass: float, arm: float) -> list[str]:
+def _unit_systems(fit: RestFit, mass: float) -> list[str]:
     """Unit systems with plausible sensor noise and centre of mass, the likeliest first."""
-    shown = np.array([fit.scale[1] / fit.scale[0], arm])
+    shown = np.array([fit.scale[1] / fit.scale[0], fit.arm])
     odd = sorted(
         (float(np.abs(np.log(shown * by / USUAL)).sum()), code)
         for code, (force, by) in SYSTEMS.items()
-        if mass * force > THINNEST * (arm * by) ** 3 or not code
+        if mass * force > THINNEST * (fit.arm * by) ** 3 or not code
     )
     return [code for each, code in odd if each < odd[0][0] + 1 and odd[0][1] and code]
 

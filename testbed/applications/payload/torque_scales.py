@@ -20,6 +20,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.gaussian import Gaussian
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.estimation.noise.score_squares import bin_size, hidden, score_squares
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
@@ -28,7 +29,7 @@ from testbed.core.estimation.regression.normal_equations import (
     inverse_and_solution,
     scaled_inverse,
 )
-from testbed.core.estimation.regression.passes import Passes, Progress
+from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.windows import DENSE
 from testbed.core.estimation.selection.term_choice import with_all_terms
 from testbed.core.estimation.settings import DEFAULTS, Settings, with_sigmas
@@ -80,7 +81,7 @@ def torque_scales(
     gravity: ArrayLike | None = None,
     settings: Settings = DEFAULTS,
     threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
 ) -> TorqueScales:
     """Scales of joint torques, from a recording without a payload of known mass and one with it.
 
@@ -215,4 +216,4 @@ def _covariance(halves: Sequence[_Half], scales: Array, v: Array) -> Array:
             1 - lost / plan.rows, 0.1
         )
         total += factor * score_squares(np.vstack(scores), plan.rate)
-    return np.asarray(inverse @ total @ inverse)[: len(scales), : len(scales)]
+    return (inverse @ total @ inverse)[: len(scales), : len(scales)]

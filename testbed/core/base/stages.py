@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+
+Progress = Callable[[int, int], None]
+"""Called with what is done, and how much there is in all."""
+
+
+def unreported(*values: object) -> None:
+    """Report nothing: the default of what is called with progress."""
+
 
 _seconds: ContextVar[defaultdict[str, float] | None] = ContextVar(
     "seconds", default=None

@@ -110,9 +110,6 @@ NOT_IDENTIFIABLE = "not identifiable"
 OPEN_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
 """In place of a number whose sigma is infinite: no motion separates it from the plate's zero."""
 
-NOTHING = 1e-15
-"""Numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]."""
-
 
 def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
     """Value and sigma, with as many decimals as sigma has to say.
@@ -124,7 +121,8 @@ def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
     """
     if math.isinf(sigma):
         return NOT_IDENTIFIABLE if short else OPEN_ZERO
-    if max(abs(value), sigma) < NOTHING:
+    # numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]
+    if max(abs(value), sigma) < 1e-15:
         return "0"
     if sigma <= ROUNDING * abs(value):
         return f"{value:.9g}"  # known

@@ -23,9 +23,6 @@ from testbed.core.base.file_kinds import kind_of, kind_of_tables, misplaced
 LARGEST_FILE = 1_000_000
 """Bytes of a TOML file."""
 
-FAULTS = 270
-"""Characters for faults of a file in one message."""
-
 LONGEST_SHOWN = 60
 """Characters of a value, or of a word of --set, in a message."""
 
@@ -198,7 +195,8 @@ def complaints(error: ValidationError, model: type[BaseModel]) -> str:
             )
             label = ".".join(part for part in where if "[" not in part)
             lines.append(f"{label}: {said}{found}" if label else said)
-    return few(list(dict.fromkeys([*unknown[:1], *lines, *unknown])), FAULTS, "; ")
+    # characters for faults of a file in one message
+    return few(list(dict.fromkeys([*unknown[:1], *lines, *unknown])), 270, "; ")
 
 
 def _unknown(model: type[BaseModel], tables: list[str], key: str) -> str:

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.core.base.arrays import Array, readonly
-from testbed.core.dynamics.newton_euler import Motion, regressor
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.dynamics.regressor import regressor
 from testbed.core.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.robot.friction import JointTerm, joint_terms, term_torque
@@ -30,16 +31,6 @@ def random_states(tree: Tree, seed: int = 0) -> Motion:
     qd, qdd = rng.uniform(-3, 3, (2, samples, tree.n))
     q[0] = qd[0] = qdd[0] = 0.0
     return Motion(np.arange(samples, dtype=float), q, qd, qdd)
-
-
-DEPENDENT = 1e-8
-"""Part of a term's column beyond all others below which it depends on them."""
-
-NOTHING = 1e-9
-"""Coefficients of a sum, beside its largest, that are rounding."""
-
-SEED = 20_000
-"""Of the states; witnesses take others."""
 
 
 def drive_set(
@@ -60,7 +51,8 @@ def drive_set(
     more = [term for term in joint_terms(tree, laws) if term.joint >= tree.n]
     if not more:
         return found
-    states = random_states(tree, SEED)
+    # of the states; witnesses take others
+    states = random_states(tree, 20_000)
 
     def column(term: JointTerm) -> Array:
         return term_torque(tree, term, states.qd, states.qdd, states.t).ravel()
@@ -70,7 +62,8 @@ def drive_set(
     own, made = list(found.terms), [found.columns]
     for term in more:
         sums, beyond = _as_a_sum(every, column(term))
-        if beyond > DEPENDENT:
+        # part of a term's column beyond all others below which it depends on them
+        if beyond > 1e-8:
             every = np.column_stack([every, column(term)])
             own.append(term)
             sums = np.eye(1, every.shape[1], every.shape[1] - 1)[0]
@@ -86,8 +79,7 @@ def _as_a_sum(every: Array, column: Array) -> tuple[Array, float]:
     size = np.linalg.norm(every, axis=0)
     size = np.where(size > 0, size, 1.0)
     found = np.linalg.lstsq(every / size, column, rcond=1e-12)[0] / size
-    found = np.where(
-        np.abs(found) > NOTHING * np.abs(found).max(initial=0.0), found, 0.0
-    )
+    # coefficients of a sum, beside its largest, that are rounding
+    found = np.where(np.abs(found) > 1e-9 * np.abs(found).max(initial=0.0), found, 0.0)
     left = np.linalg.norm(column - every @ found) / np.linalg.norm(column)
     return np.round(found, 12), float(left)

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from testbed.core.base.arrays import AnyArray, Array, apply, freeze, skew
 from testbed.core.base.summary_table import Value
 from testbed.core.base.transform import Transform
-from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.rules import Model
 from testbed.core.parameters.symbols import TENSOR, barycentric
 from testbed.core.robot.tree import Placement, Tree
@@ -361,24 +360,6 @@ def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) ->
     return linear(tree, motion, barycentric(tree)[..., None], gravity)[1][..., 0]
 
 
-def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
-    """Phi with phi delta = joint forces or base wrench; [FRS96] eqs. (10), (12).
-
-    Takes 48 or 8 n bytes a sample and parameter: for small M and tests.
-
-    Args:
-        tree: The robot; only its geometry matters.
-        motion: M samples, columns in the order of `tree.names`.
-        minimal: delta_d or delta_r; its gravity is used.
-
-    Returns:
-        (M, n, N) [N m or N per parameter] for a dynamic set, (M, 6, N) for a reaction set.
-    """
-    theta = minimal.lift.reshape(tree.n, 10, minimal.count)
-    joints, base = linear(tree, motion, theta, minimal.gravity)
-    return joints if minimal.model == "dynamic" else base
-
-
 def parameter_regressor(
     tree: Tree, motion: Motion, model: Model, gravity: ArrayLike | None = None
 ) -> Array:
@@ -406,7 +387,7 @@ def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
     """
     g = tree.gravity_or(gravity)
     pedestal = tree.pedestal
-    wrench = np.concatenate([-pedestal.mass * g, -np.cross(pedestal.first_moment, g)])
+    wrench = -np.concatenate([pedestal.mass * g, np.cross(pedestal.first_moment, g)])
     return wrench if tree.sensor is None else tree.sensor.X_BS.inverse.wrench(wrench)
 
 
@@ -429,14 +410,16 @@ def linear(
     if motion.q.shape[1] != tree.n:
         raise ValueError(f"a motion of {motion.q.shape[1]} joints, a robot of {tree.n}")
     g = tree.gravity_or(gravity)
-    p = theta.shape[-1]
     joints, base = (
-        np.empty((motion.samples, tree.n, p)),
-        np.empty((motion.samples, 6, p)),
+        np.empty((motion.samples, rows, theta.shape[-1])) for rows in (tree.n, 6)
     )
     for part in blocks(motion.samples):
-        moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g)
+        at = motion[part]
         joints[part], base[part] = transmitted(
-            tree, moving, theta, unchanged, tree.sensor, tree.sensor_body
+            tree,
+            kinematics(tree, at.q, at.qd, at.qdd, g),
+            theta,
+            sensor=tree.sensor,
+            base=tree.sensor_body,
         )
     return joints, base

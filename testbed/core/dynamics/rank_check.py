@@ -24,9 +24,6 @@ from testbed.core.parameters.symbols import STANDARD_ORDER, to_standard
 from testbed.core.robot.friction import term_torque
 from testbed.core.robot.tree import Tree
 
-ROUNDING = 1e-13
-"""Part of all rows that is rounding of zero, whatever is left of them."""
-
 
 @dataclass(frozen=True, eq=False)
 class Space:
@@ -58,7 +55,8 @@ def row_space(
         known_zero: Parameters known to be zero, (n, 10), whose columns do not count;
             default none.
     """
-    rounding = ROUNDING * float(np.linalg.norm(rows))
+    # part of all rows that is rounding of zero, whatever is left of them
+    rounding = 1e-13 * float(np.linalg.norm(rows))
     if known_zero is not None:
         rows = np.where(known_zero.ravel(), 0.0, rows)
     if not rows.any():
@@ -158,10 +156,6 @@ UNCHANGED = 1e-8
 """Largest relative change of the model by regrouping; files with rounded angles come near it."""
 
 
-INVERSE = 1e-9
-"""Largest element of S lift - 1 that is rounding."""
-
-
 @dataclass(frozen=True)
 class Agreement:
     """Three answers to one question.
@@ -198,7 +192,8 @@ class Agreement:
         """
         same = self.recursion_distance <= SAME
         near = self.sampled_distance <= max(SAME, 1.0 / self.gap)
-        exact = self.change <= UNCHANGED and self.inverse <= INVERSE
+        # largest element of S lift - 1 that is rounding
+        exact = self.change <= UNCHANGED and self.inverse <= 1e-9
         return same and near and exact and self.gap >= CLEAR_GAP
 
 

@@ -35,9 +35,6 @@ from testbed.core.parameters.symbols import to_standard, with_standard
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.tree import Joint, Tree
 
-BLOCK = 2048
-"""Instants side by side: more are no faster, and need more memory."""
-
 
 def base_wrench_derivatives(
     tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
@@ -59,7 +56,8 @@ def base_wrench_derivatives(
     g = tree.gravity_or(gravity)
     wrench = np.empty((motion.samples, 6))
     slopes = np.empty((tree.n, 3, motion.samples, 6))
-    for part in blocks(motion.samples, BLOCK):
+    # instants side by side: more are no faster, and need more memory
+    for part in blocks(motion.samples, 2048):
         states = _outward(
             tree, motion.q[part].T, motion.qd[part].T, motion.qdd[part].T, g
         )

@@ -14,7 +14,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.diagnostics import Diagnostic, of_instrument, ordered
 from testbed.core.base.errors import RecordingError, SettingsError, UnseenParameters
-from testbed.core.base.stages import stage
+from testbed.core.base.stages import Progress, stage
 from testbed.core.estimation.diagnostics.diagnosis import diagnostics, quality
 from testbed.core.estimation.diagnostics.residuals import zero_unknown
 from testbed.core.estimation.diagnostics.setup import (
@@ -28,7 +28,6 @@ from testbed.core.estimation.noise.coloured_noise import (
     generalized_least_squares,
 )
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.solvers import noise_weights, solve
 from testbed.core.estimation.selection.held_out import TermChoice
 from testbed.core.estimation.selection.position_filter import with_position_filter

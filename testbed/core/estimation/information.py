@@ -23,12 +23,6 @@ from testbed.core.parameters.minimal_set import MinimalSet
 if TYPE_CHECKING:
     from testbed.core.estimation.estimate import Estimate
 
-SINGULAR = 1e-12
-"""Eigenvalue of the scaled information matrix below which a direction is not determined."""
-
-UNDETERMINED = 1e-4
-"""Part of an unknown in such directions from which it is not determined itself."""
-
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Information(Gaussian):
@@ -106,9 +100,11 @@ def _solution(matrix: Array, vector: Array) -> tuple[Array, Array, NDArray[np.bo
     """Estimate, (p,), covariance, (p, p), and whether each unknown is determined, (p,)."""
     scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
     powers, basis = np.linalg.eigh(matrix / np.outer(scale, scale))
-    sure = powers > SINGULAR * powers[-1]
+    # eigenvalue of the scaled information matrix below which a direction is not determined
+    sure = powers > 1e-12 * powers[-1]
     inverse = (basis[:, sure] / powers[sure]) @ basis[:, sure].T
-    determined = (np.abs(basis[:, ~sure]) < UNDETERMINED).all(axis=1)
+    # part of an unknown in such directions from which it is not determined itself
+    determined = (np.abs(basis[:, ~sure]) < 1e-4).all(axis=1)
     values = np.where(determined, inverse @ (vector / scale) / scale, np.nan)
     return values, inverse / np.outer(scale, scale), determined
 

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
-from testbed.core.base.stages import stage
+from testbed.core.base.stages import Progress, stage
 from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method, channels_of
 from testbed.core.estimation.regression.normal_equations import NormalEquations, gather
-from testbed.core.estimation.regression.passes import Passes, Progress
+from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.windows import (
     ROWS_PER_CUTOFF,
     drive_filter,

@@ -178,12 +178,12 @@ class Settings(Checked):
         | None,
         'a list of names, none twice, or "auto"',
     ] = None
-    """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
-    "offset", "rotor", "asymmetric", "quadratic", "square_root", "slope", "warm_coulomb",
-    "warm_viscous", and "stribeck@0.1", friction that fades out at 0.1 rad/s. Each holds at all
-    joints and at all shafts that couple some, "rotor/elbow" at that one. "auto" lets held-out data
-    choose. Default: "coulomb" and "viscous", "offset" of imported recordings, and "rotor" of
-    torques from motors, else of joints whose rotor the model file states."""
+    """What a joint's torque holds besides the forces that move the bodies, as "coulomb", "viscous",
+    "offset", "rotor", those that `testbed list` names, and "stribeck@0.1", friction that fades out
+    at 0.1 rad/s. Each holds at all joints and at all shafts that couple some, "rotor/elbow" at that
+    one. "auto" lets held-out data choose. Default: "coulomb" and "viscous", "offset" of imported
+    recordings, and "rotor" of torques from motors, else of joints whose rotor the model file
+    states."""
 
     nuisances: Annotated[
         Sequence[str],

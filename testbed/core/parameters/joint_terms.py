@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -118,15 +120,21 @@ class DriveSet(Value):
             for k, (label, right) in enumerate(zip(self.labels, plain, strict=True))
         )
 
-    def values(self, theta: ArrayLike, tree: Tree) -> Array:
+    def values(
+        self,
+        theta: ArrayLike,
+        tree: Tree,
+        added: Mapping[JointLaw, Any] = MappingProxyType({}),
+    ) -> Array:
         """The unknowns, (count,).
 
         Args:
             theta: Barycentric parameters, (n, 10).
             tree: Gives the coefficients of the terms.
+            added: To a law's coefficients, one or (n,).
         """
         terms = [
-            float(term.law.coefficients(tree)[term.joint])
+            (term.law.coefficients(tree) + added.get(term.law, 0.0))[term.joint]
             if term.joint < tree.n
             else 0.0
             for term in self.asked

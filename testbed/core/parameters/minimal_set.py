@@ -37,9 +37,6 @@ from testbed.core.parameters.symbols import (
 from testbed.core.robot.free_base import FREE
 from testbed.core.robot.tree import Tree, require_tree
 
-NO_MATTER = 1e-12
-"""A parameter this much smaller than its body's others of the same unit is zero in the file."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MinimalSet(Value):
@@ -346,4 +343,5 @@ def _zeros_of_the_file(tree: Tree) -> NDArray[np.bool_]:
     # moments may all be rounding: a mass at a distance of the size of the body shows
     moment = np.maximum(moments.max(axis=1, keepdims=True), np.sqrt(mass * tensor))
     scale = np.repeat(np.hstack([mass, moment, tensor]), (1, 3, 6), axis=1)
-    return theta <= NO_MATTER * scale
+    # a parameter this much smaller than its body's others of the same unit is zero in the file
+    return theta <= 1e-12 * scale

@@ -108,9 +108,6 @@ def sensors_in(columns: Sequence[str]) -> tuple[str, ...]:
 LARGEST = 1e12
 """What no instrument measures, in any SI unit."""
 
-UNIFORM = 0.01
-"""Greatest deviation of a sampling time from the others, relative."""
-
 EARLIEST, LATEST = 1e-9, 1e6
 """Sampling times that are no mistake [s]."""
 
@@ -191,7 +188,8 @@ def check_times(time: Array, source: str, typical: float, first: int = 0) -> Non
         k = int(np.argmin(steps)) + first
         raise RecordingError(f"{source}: time does not increase after sample {k}")
     check_sampling_time(typical, source)
-    if max(most - typical, typical - least) > UNIFORM * typical:
+    # greatest deviation of a sampling time from the others, relative
+    if max(most - typical, typical - least) > 0.01 * typical:
         worst = int(np.argmax(np.abs(steps - typical)))
         raise RecordingError(
             f"{source}: sampling is not uniform: {steps[worst]:.6g} s after sample "

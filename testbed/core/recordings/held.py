@@ -17,9 +17,6 @@ from testbed.core.robot.model_file import ModelFile, joint_names
 STILL = 1e-3
 """Motion below which a joint rests [rad or m]."""
 
-ELSEWHERE = 0.01
-"""By how much a joint may rest beside where it is held [rad or m]."""
-
 BLOCK = 100_000
 """Samples that are read at once."""
 
@@ -63,7 +60,8 @@ def hold_resting(
     for name in asked:
         k, wanted = source.names.index(name), file.lock[name]
         place = float(mean[k]) if wanted is None else wanted
-        if max(high[k] - place, place - low[k]) > ELSEWHERE:
+        # by how much a joint may rest beside where it is held [rad or m]
+        if max(high[k] - place, place - low[k]) > 0.01:
             raise RecordingError(
                 f"joint '{name}' is to be held at {place:.4g}, and the recording has it at "
                 f"{low[k]:.4g} to {high[k]:.4g}"

@@ -12,12 +12,6 @@ from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source, counted
 
-SAME_RATE = 1e-3
-"""Relative difference of sampling rates that are one."""
-
-LEAST_GAP = 16
-"""Samples between two recordings, and a second at least: more rows than noise remembers."""
-
 
 class Joined(DerivedSource):
     """Recordings one after the other, none of which knows of the others.
@@ -39,7 +33,8 @@ class Joined(DerivedSource):
         first = self._parts[0]
         _check_alike(self._parts)
         lengths = np.array([part.samples for part in self._parts])
-        ends = np.cumsum(lengths + max(LEAST_GAP, round(first.rate)))
+        # samples between two recordings, and a second at least: more rows than noise remembers
+        ends = np.cumsum(lengths + max(16, round(first.rate)))
         begins = np.append(0, ends[:-1])
         super().__init__(first, int(begins[-1] + lengths[-1]), first.rate)
         self.segments = tuple(
@@ -97,7 +92,8 @@ def _check_alike(parts: Sequence[Source]) -> None:
                 f"recording {k} is of another robot than the first: it has the joints "
                 f"{', '.join(other.names)}, the first has {', '.join(first.names)}"
             )
-        if abs(other.rate - first.rate) > SAME_RATE * first.rate:
+        # relative difference of sampling rates that are one
+        if abs(other.rate - first.rate) > 1e-3 * first.rate:
             raise RecordingError(
                 f"recording {k} has {other.rate:g} samples a second, the first has "
                 f"{first.rate:g}: import them at one rate"

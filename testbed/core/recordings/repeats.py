@@ -10,13 +10,6 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.source import Source
 
-MOST = 200_000
-"""Samples of a recording that is read at once."""
-
-REGULAR = 0.95
-"""Part of the runs of equal poses that are of one length if a device makes them: steps of an
-encoder make runs of many lengths."""
-
 DEGREE = 5
 """Of the splines."""
 
@@ -28,13 +21,16 @@ def without_repeated_poses(source: Source) -> tuple[Source, float]:
         source: The recording; one that is long, joined of several, or that senses velocities and
             accelerations stays as it is, and so does one that repeats its poses irregularly.
     """
-    if source.samples > MOST or source.senses_kinematics or len(source.segments) > 1:
+    # samples of a recording that is read at once
+    if source.samples > 200_000 or source.senses_kinematics or len(source.segments) > 1:
         return source, 0.0
     recording = source.part(0, source.samples)
     _, lengths = _runs(recording.position)
     whole = lengths[:-1]
     typical = float(np.median(whole)) if len(whole) > DEGREE else 1.0
-    regular = typical > 1 and np.mean(whole == typical) > REGULAR
+    # part of the runs of equal poses that are of one length if a device makes them: steps of an
+    # encoder make runs of many lengths
+    regular = typical > 1 and np.mean(whole == typical) > 0.95
     if not regular or not np.isfinite(recording.position).all():
         return source, 0.0
     from scipy.interpolate import make_interp_spline

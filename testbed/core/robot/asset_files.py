@@ -13,8 +13,6 @@ from pathlib import Path
 from testbed.core.base.errors import ModelError
 from testbed.core.robot.parsing import read_xml
 
-BEGINNING = 4096
-"""Bytes by which a model is recognised."""
 PARTS = (".xml", ".mjcf", ".urdf")
 """Endings of models and of what they include."""
 LAYOUT = {
@@ -74,7 +72,8 @@ def asset_fault(file: Path, model: Path) -> str | None:
     if _beside(place, model):
         return None
     with place.open("rb") as stream:
-        part = file.suffix.lower() in PARTS and b"<mujoco" in stream.read(BEGINNING)
+        # bytes by which a model is recognised
+        part = file.suffix.lower() in PARTS and b"<mujoco" in stream.read(4096)
     return None if part else "it lies outside of the model's package"
 
 

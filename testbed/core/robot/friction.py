@@ -122,7 +122,10 @@ def _further_laws() -> Iterator[JointLaw]:
         yield from (value for value in values if isinstance(value, JointLaw))
 
 
-LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR, *_further_laws())
+FURTHER: tuple[JointLaw, ...] = tuple(_further_laws())
+"""Laws of `testbed/core/robot/laws`; a choice by held-out data is offered all of them."""
+
+LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR, *FURTHER)
 """All that can be asked for by name; beside them stribeck@SPEED and what one direction leaves."""
 
 STRIBECK = "stribeck"

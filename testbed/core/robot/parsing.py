@@ -51,8 +51,6 @@ _NAMES = {
     "material",
 }
 """Attributes that name something: they come back in columns, files and messages."""
-_BEGINNING = 1024
-"""Bytes by which a web page is recognised."""
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's control, format (bidirectional ones too), surrogate and separator characters."""
 
@@ -77,7 +75,8 @@ def read_xml(path: Path) -> ET.Element:
             ValueError,
         ) as error:  # the latter: odd encodings
             with path.open("rb") as file:
-                page = file.read(_BEGINNING).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
+                # bytes by which a web page is recognised
+                page = file.read(1024).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
             if page.startswith((b"<!doctype html", b"<html")):
                 raise ModelError(
                     "a web page, no model; download the raw file"

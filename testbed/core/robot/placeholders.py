@@ -19,29 +19,14 @@ from testbed.core.robot.tree import Joint, Tree
 SPARSEST, DENSEST = 10.0, 3e4
 """Densities of the box with the same mass and inertia that rigid parts have [kg/m^3]."""
 
-WIDEST = 2.0
-"""Radius of gyration of a body in lengths of its link at most."""
-
 SHORTEST, WIDE = 0.1, 0.3
 """Least length of a link [m]; radius of gyration in parts of the longest that is odd at least."""
-
-THIN = 0.05
-"""Radius of gyration in lengths of the link below which a high density is no motor's."""
-
-RELEVANT = 1e-3
-"""Mass of a link in parts of the robot's from which its inertia matters."""
 
 ROUNDING = 1e-6
 """Relative error of a number that is rounding."""
 
-ALIKE = 0.6
-"""Share of the joints that have one value of friction, above which none was measured."""
-
 FEWEST = 3
 """Links or joints of one value at least."""
-
-SHARE = 0.1
-"""Mass of doubtful links in parts of their body's from which the body is doubtful."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +66,8 @@ def placeholders(tree: Tree) -> Placeholders:
     Args:
         tree: Robot; without a model file its bodies are its links.
     """
-    least = RELEVANT * sum(body.mass for body in tree.inertias)
+    # mass of a link in parts of the robot's from which its inertia matters
+    least = 1e-3 * sum(body.mass for body in tree.inertias)
     links = [each for each in _links(tree) if each.inertia.mass > least]
     lengths = _lengths(tree, links)
     reach = float(lengths.max(initial=SHORTEST))
@@ -97,7 +83,8 @@ def placeholders(tree: Tree) -> Placeholders:
     for each in links:
         part = each.inertia.mass
         masses[:, each.body] += part, part * bool(reasons[each.name])
-    bodies = np.flatnonzero(masses[1] > SHARE * masses[0])
+    # mass of doubtful links in parts of their body's from which the body is doubtful
+    bodies = np.flatnonzero(masses[1] > 0.1 * masses[0])
     return Placeholders(
         {name: reason for name, reason in reasons.items() if reason},
         dict(_friction(tree.joints)),
@@ -153,11 +140,13 @@ def _reason(inertia: Inertia, length: float, reach: float) -> str:
     if _one_digit(mass) and all(map(_one_digit, moments)):
         return f"{mass:g} kg with {', '.join(f'{each:g}' for each in moments)} kg m^2"
     radius = np.sqrt(most / mass)
-    if radius > WIDEST * max(length, SHORTEST) and radius > WIDE * reach:
+    # radius of gyration of a body in lengths of its link at most
+    if radius > 2.0 * max(length, SHORTEST) and radius > WIDE * reach:
         return f"radius of gyration {radius:.2g} m of a link of {length:.2g} m"
     sides = np.maximum(6 * (sum(moments) - 2 * np.array(moments)) / mass, 1e-12)
     density = mass / float(np.sqrt(np.prod(sides)))
-    thin = radius < THIN * max(length, SHORTEST)
+    # radius of gyration in lengths of the link below which a high density is no motor's
+    thin = radius < 0.05 * max(length, SHORTEST)
     if density < SPARSEST or (density > DENSEST and thin):
         return f"{density:.2g} kg/m^3"
     return ""
@@ -177,6 +166,7 @@ def _friction(joints: tuple[Joint, ...]) -> Iterator[tuple[str, str]]:
         if len(values) < 2:
             continue
         usual, count = Counter(values).most_common(1)[0]
-        round_one = _one_digit(usual) and count >= ALIKE * len(values)
+        # share of the joints that have one value of friction, above which none was measured
+        round_one = _one_digit(usual) and count >= 0.6 * len(values)
         if round_one or count == len(values) >= FEWEST:
             yield kind, f"{kind} friction {usual:g} at {count} of {len(joints)} joints"

@@ -29,21 +29,6 @@ THINNEST = 1e-6
 LIGHTEST = 1e-5
 """Mass of a repaired body that had none, in parts of the robot's."""
 
-SLIGHT = 1e-4
-"""Change of a body's second moments that is rounding, in parts of its greatest."""
-
-NEGLIGIBLE = 1e-9
-"""The same in parts of the robot's: its mass times the square of its largest radius of gyration."""
-
-WIDEST = 10.0
-"""Radius of gyration of a body about its frame in parts of the robot's lengths at most."""
-
-DENSEST = 1e4
-"""Mass of a body over the cube of the robot's lengths at most, more than steel's [kg/m^3]."""
-
-DUST = 1e-7
-"""Mass of a body in parts of the robot's median one at least."""
-
 NAMED = 3
 """Flaws that are listed one by one."""
 
@@ -227,9 +212,12 @@ class _Size:
     def slight(self, old: Inertia, new: Inertia) -> bool:
         """Whether a body is changed by no more than rounding."""
         spread = old.pseudo[:3, :3] - old.mass * np.outer(old.com, old.com)
-        own = SLIGHT * np.linalg.eigvalsh(spread)[-1]
+        # change of a body's second moments that is rounding, in parts of its greatest
+        own = 1e-4 * np.linalg.eigvalsh(spread)[-1]
         change = np.abs(new.pseudo - old.pseudo).max()
-        whole = NEGLIGIBLE * self.mass * self.reach**2
+        # the same in parts of the robot's: its mass times the square of its largest radius of
+        # gyration
+        whole = 1e-9 * self.mass * self.reach**2
         return bool(old.mass == new.mass and change <= max(own, whole))
 
 
@@ -241,13 +229,16 @@ def _out_of_scale(bodies: Bodies, reach: float) -> tuple[Inertia, dict[str, str]
         if body.mass > 0 and body.within_limits
     }
     sizes = {name: (body.mass, body.radius) for name, body in known.items()}
+    # mass of a body in parts of the robot's median one at least
     dust, reach = (
-        DUST * np.median([0.0, *(mass for mass, _ in sizes.values())]),
+        1e-7 * np.median([0.0, *(mass for mass, _ in sizes.values())]),
         max(reach, 1.0),
     )
     odd, good = {}, []
     for name, (mass, radius) in sizes.items():
-        if dust < mass < DENSEST * reach**3 and radius < WIDEST * reach:
+        # mass over the cube of the robot's lengths at most, more than steel's [kg/m^3], and radius
+        # of gyration of a body about its frame in parts of them
+        if dust < mass < 1e4 * reach**3 and radius < 10.0 * reach:
             good.append((mass, radius))
         else:
             odd[name] = _SIZE.format(name, mass, radius)

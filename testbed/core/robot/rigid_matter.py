@@ -7,10 +7,6 @@ from numpy.typing import ArrayLike
 
 from testbed.core.robot.inertia import Inertia
 
-TRIANGLE_TOLERANCE = 1e-9
-"""Relative slack of the triangle inequality: rounding of a thin plate's exact equality."""
-
-
 ROUNDING = 1e-9
 """Part of a body's second moments about its frame that is rounding: a point has no others."""
 
@@ -72,7 +68,8 @@ def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:
             f"link '{link}' has mass {mass:g} kg and principal moments of inertia ({listed}) "
             "kg m^2, which are not all positive"
         )
-    if moments[0] + moments[1] < moments[2] * (1 - TRIANGLE_TOLERANCE):
+    # relative slack of the triangle inequality: rounding of a thin plate's exact equality
+    if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
         return (
             f"link '{link}' has principal moments of inertia ({listed}) kg m^2, where the largest "
             "exceeds the sum of the others"

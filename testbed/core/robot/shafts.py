@@ -15,9 +15,6 @@ from testbed.core.robot.tree import Shaft, Tree
 Shafts = Mapping[str, Mapping[str, float]]
 """By the shaft's name, how much it turns with each of its joints, by name."""
 
-ALIKE = 1e-9
-"""Sine of the angle between the turns of two shafts that are the same one."""
-
 
 def with_shafts(tree: Tree, given: Shafts) -> Tree:
     """The same tree with shafts that turn with several joints.
@@ -42,7 +39,8 @@ def with_shafts(tree: Tree, given: Shafts) -> Tree:
     unit = turn / np.linalg.norm(turn, axis=1, keepdims=True)
     for k, one in enumerate(unit):
         for other, two in enumerate(unit[:k]):
-            if np.linalg.norm(one - (one @ two) * two) < ALIKE:
+            # sine of the angle between the turns of two shafts that are the same one
+            if np.linalg.norm(one - (one @ two) * two) < 1e-9:
                 raise ModelError(
                     f"robot.coupling: '{made[other].name}' and '{made[k].name}' are one shaft; "
                     "keep one of them"

@@ -84,8 +84,9 @@ def sample(
     if count < LEAST:
         return None
     later = round(late * rate)
-    at = np.linspace(0, inside - 1 - abs(later), count).astype(int) + max(0, -later)
-    spacing = (inside - abs(later)) / rate / count
+    last = inside - 1 - abs(later)
+    at = np.linspace(0, last, count).astype(int) + max(0, -later)
+    spacing = last / rate / (count - 1)
     none = np.zeros((recording.samples, 0))
     torque = none if recording.torque is None else recording.torque
     wrench = none if recording.wrench is None else recording.wrench

@@ -32,6 +32,9 @@ CLEAR = 5.0
 """Sigmas from which a coefficient is written."""
 
 
+ROUNDS = 2
+"""Regressions for an error, each at the wrench that the last has explained."""
+
 GAIN = 0.3
 """Sigma of the channels' gains, which are free beside: an error from time 0 on has a mean."""
 
@@ -104,18 +107,17 @@ def diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnostic:
 def _fits(best: Explanation) -> Iterator[SensorErrorFit]:
     """Fits of all sensor errors that change in time."""
     wrench = best.fit.plate.wrench(best.plate)
-    none = np.zeros((len(wrench), 6, 0))
-    # of the explained wrench, not the measured one: noise on both sides would make them too small
-    explained = wrench - best.fit.plate.residual(best.plate, none)[0]
-    gains = GAIN * PlateGain.derivative(explained, np.zeros(len(wrench)), np.zeros(6))
-    before, _, _ = _regression(best, gains)
-    for error in candidate_errors():
-        columns = _columns(error, best, explained)
-        if columns is None:
-            continue
-        after, values, sigma = _regression(
-            best, np.concatenate([columns, gains], axis=2)
-        )
+    # columns are of the explained wrench, not the measured one: noise on both sides would make
+    # coefficients too small; of the one with its gains, which the error multiplies
+    plain = wrench - _regression(best, np.zeros((len(wrench), 6, 0)))[3]
+    before, *_ = _regression(best, _gains(plain))
+    for error in filter(_changes, candidate_errors()):
+        explained = plain
+        for _ in range(ROUNDS):
+            columns = _columns(error, best, explained)
+            every = np.concatenate([columns, _gains(explained)], axis=2)
+            after, values, sigma, left = _regression(best, every)
+            explained = wrench - left - columns @ values[:-6]
         gain = WEIGHT * float(np.log((before + TINY) / (after + TINY)).sum())
         coefficients = error.coefficients(best.fit.prior.tree)
         pairs = zip(coefficients, values.tolist(), CLEAR * sigma, strict=False)
@@ -123,26 +125,34 @@ def _fits(best: Explanation) -> Iterator[SensorErrorFit]:
         yield SensorErrorFit(error, tuple(clear), after, gain)
 
 
-def _regression(best: Explanation, columns: Array) -> tuple[Array, Array, Array]:
-    """Unexplained parts of the channels, (6,), and values and sigmas of columns, (k,)."""
+def _gains(wrench: Array) -> Array:
+    """Columns of the channels' gains, (T, 6, 6)."""
+    return GAIN * PlateGain.derivative(wrench, np.zeros(len(wrench)), np.zeros(6))
+
+
+def _regression(best: Explanation, columns: Array) -> tuple[Array, Array, Array, Array]:
+    """Unexplained parts of the channels, (6,), values and sigmas of columns, (k,), residual."""
     evidence, plate = best.fit.plate, best.plate
     variance = np.maximum(evidence.wrench(plate).var(axis=0), 1e-12)
     for _ in range(2):  # sigmas are of the residual with the columns
         residual, values, sigma = evidence.residual(plate, columns)
         plate = replace(plate, unexplained=residual.var(axis=0) / variance)
-    return plate.unexplained, values, sigma
+    return plate.unexplained, values, sigma, residual
 
 
-def _columns(
-    error: type[SystematicError], best: Explanation, wrench: Array
-) -> Array | None:
-    """Derivative of a wrench, (T, 6), by coefficients, (T, 6, k); None without change in time."""
+def _changes(error: type[SystematicError]) -> bool:
+    """Whether an error of a plate changes in time."""
+    if issubclass(error, ClockError):
+        return error is not PlateDelay
+    return issubclass(error, PlateError) and error.term not in PlateMatrix.contains
+
+
+def _columns(error: type[SystematicError], best: Explanation, wrench: Array) -> Array:
+    """Derivative of a wrench, (T, 6), by coefficients, (T, 6, k); time is from its middle on."""
     time = best.fit.instants.motion.t
     time = time - time.mean()
-    if issubclass(error, ClockError) and error is not PlateDelay:
+    if issubclass(error, ClockError):
         rate = best.fit.instants.wrench_rate @ best.plate.map.T
         late = np.broadcast_to(error.lateness(time), len(time))
         return np.asarray(-(rate * late[:, None])[..., None])
-    if issubclass(error, PlateError) and error.term not in PlateMatrix.contains:
-        return error.derivative(wrench, time, error.neutral(best.fit.prior.tree))
-    return None
+    return error.derivative(wrench, time, error.neutral(best.fit.prior.tree))

@@ -17,7 +17,8 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError
-from testbed.core.dynamics.newton_euler import Motion, regressor
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.dynamics.regressor import regressor
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import standard_deviations
 from testbed.core.estimation.regression.windows import motion_taps, row_weights

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -154,7 +155,7 @@ def _rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
     usual, own = _rms(diagonal), ROTOR.coefficients(tree)
     whole = matrices + np.diag(own + 1e-12 * usual.max())
     free = 1 / np.diagonal(np.linalg.inv(whole), axis1=1, axis2=2)
-    light = np.asarray((free < LIGHT * usual).any(axis=0))
+    light = (free < LIGHT * usual).any(axis=0)
     moved = COULOMB.coefficients(tree) / (SimulationTable().bandwidth ** 2 * OFF_COURSE)
     wanted = np.maximum(light * ROTOR_SHARE * usual, (moved > usual + own) * moved)
     return {
@@ -291,11 +292,7 @@ def _touching(experiment: Experiment) -> tuple[tuple[str, str], ...]:
     rules = rules_of(experiment, tree, designed=False)
     if rules.collision is None:
         return ()
-    meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) * 2)
+    meter = DistanceMeter(rules.collision, 2 * rules.clearance)
     near = meter.measure(rules.limits.postures).values <= rules.clearance
     fewest = near[near.sum(axis=1).argmin()]
-    return tuple(
-        pair
-        for pair, is_near in zip(rules.collision.bodies, fewest, strict=True)
-        if is_near
-    )
+    return tuple(compress(rules.collision.bodies, fewest))

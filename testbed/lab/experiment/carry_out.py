@@ -14,8 +14,8 @@ from testbed.applications.validate import validate
 from testbed.bodies.posterior import reported_estimate
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import RecordingError, TestbedError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.estimation.identify import identify
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base
 from testbed.lab.experiment.evaluate import evaluate
@@ -33,7 +33,7 @@ UNSEEN = 12.0
 """Seconds of it."""
 
 
-def on_unseen_motion(run: Run, progress: Progress = lambda done, total: None) -> Run:
+def on_unseen_motion(run: Run, progress: Progress = unreported) -> Run:
     """A run with its estimates validated on another motion.
 
     Args:
@@ -53,7 +53,7 @@ def on_unseen_motion(run: Run, progress: Progress = lambda done, total: None) ->
     return run if recording is None else validated(run, recording)
 
 
-def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording | None:
+def unseen(run: Run, progress: Progress = unreported) -> Recording | None:
     """The same robot and instrument along another motion as fast, with other noise.
 
     Args:
@@ -71,12 +71,10 @@ def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording
         return None
     asked = experiment.motion
     duration = min(max(UNSEEN, 1.0 / asked.fundamental), asked.duration)
-    shorter = asked.model_copy(update={"duration": duration})
-    other = experiment.model_copy(
-        update={"motion": shorter, "seed": experiment.seed + 1}
-    )
+    seed = experiment.seed
+    other = experiment.with_(motion={"duration": duration}, seed=seed + 1)
     motion = another_motion(experiment, robot_of(experiment))
-    return record(other, progress, installed=experiment.seed, motion=motion)
+    return record(other, progress, installed=seed, motion=motion)
 
 
 def validated(run: Run, recording: Recording) -> Run:
@@ -119,9 +117,7 @@ def _judged(run: Run, recording: Recording) -> Score | None:
     return replace(run.score, accuracy=accuracy)
 
 
-def with_payload_metrics(
-    run: Run, progress: Progress = lambda done, total: None
-) -> Run:
+def with_payload_metrics(run: Run, progress: Progress = unreported) -> Run:
     """A run with the figures of its payload, if a claim is about them.
 
     The robot without the payload makes another recording, with other noise.
@@ -163,13 +159,9 @@ def with_payload_metrics(
 
 def _without(experiment: Experiment) -> Experiment:
     """The same without payloads, with another motion and other noise."""
-    effects = tuple(
-        e for e in experiment.simulation.effect if not isinstance(e, Payload)
-    )
-    simulation = experiment.simulation.model_copy(update={"effect": effects})
-    return experiment.model_copy(
-        update={"simulation": simulation, "seed": experiment.seed + 2}
-    )
+    effects = experiment.simulation.effect
+    others = tuple(each for each in effects if not isinstance(each, Payload))
+    return experiment.with_(simulation={"effect": others}, seed=experiment.seed + 2)
 
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
@@ -178,8 +170,8 @@ Stage = Callable[[str], AbstractContextManager[Progress]]
 
 def carry_out(
     experiment: Experiment,
-    progress: Progress = lambda done, total: None,
-    watch: Watch = lambda time, truth: None,
+    progress: Progress = unreported,
+    watch: Watch = unreported,
     *,
     folder: Path | None = None,
     stage: Stage | None = None,

@@ -15,10 +15,9 @@ from testbed.motion.excite import excite
 from testbed.motion.fourier import Fourier
 from testbed.motion.information import information_of
 from testbed.motion.limits import limits_of
-from testbed.motion.proof import Rules
 from testbed.motion.samples import SampledRows
-from testbed.motion.surroundings import surroundings
-from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
+from testbed.motion.surroundings import rules_within, surroundings
+from testbed.motion.terms import PlateRange, PlateTerm
 
 MARGIN = 0.95
 """Share of every limit that a motion may use."""
@@ -47,15 +46,14 @@ def design(
     """
     tree, how = rig.true_robot, rig.instrument
     limits = limits_of(tree)
-    seen = surroundings(rig.file, tree, limits, CLEARANCE)
+    around = surroundings(tree, limits, CLEARANCE)
     reach = PlateRange(np.array(how.full_scale))
-    terms: list[SmoothTerm] = [PlateTerm(reach, pedestal_wrench(tree), MARGIN)]
+    plate = PlateTerm(reach, pedestal_wrench(tree), MARGIN)
+    rules = rules_within(tree, limits, MARGIN, [plate], around)
     rows: dict[Model, SampledRows] = {
-        "reaction": SampledRows(tree, minimal_set(tree, "reaction"))
+        term.model: SampledRows(tree, minimal_set(tree, term.model))
+        for term in rules.terms
     }
-    if np.isfinite(limits.effort).any():
-        terms.append(EffortTerm(tree, limits, MARGIN))
-        rows["dynamic"] = SampledRows(tree, minimal_set(tree, "dynamic"))
     information = information_of(
         rows,
         "plate",
@@ -63,15 +61,7 @@ def design(
         np.full(tree.n, how.torque_noise or QUIET_TORQUE),
     )
     problem = DesignProblem(
-        rules=Rules(
-            tree,
-            limits,
-            MARGIN,
-            tuple(terms),
-            seen.collision,
-            seen.clearance,
-            seen.diagnostics,
-        ),
+        rules=rules,
         information=information,
         rows=rows,
         pipeline=pipeline(rig.rate, seconds, sensed=how.senses_kinematics),

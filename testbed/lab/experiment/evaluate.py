@@ -12,10 +12,10 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.prior import Prior, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.identify import identify
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.recording import Recording
@@ -23,7 +23,6 @@ from testbed.core.robot.inertia import Inertia, upper_root
 from testbed.core.robot.rotor_spin import with_rotor_spin
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.experiment_tables import SimulationTable
 from testbed.lab.experiment.rig import sensed_robot
 from testbed.lab.experiment.run import Run, assemble_run
@@ -69,7 +68,7 @@ def with_floor(run: Run) -> Run:
 def evaluate(
     experiment: Experiment,
     recording: Recording,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
     methods: Iterable[Method] = METHODS,
     threads: int | None = None,
 ) -> Run:
@@ -91,7 +90,6 @@ def evaluate(
         name=experiment.name,
         settings=experiment.identification,
         experiment=experiment,
-        model=model_of(experiment),
         methods=methods,
         bodies=bodies_asked(experiment, tree),
         threads=threads,

@@ -8,6 +8,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, TestbedError
+from testbed.core.base.stages import unreported
 from testbed.core.estimation.regression.windows import (
     motion_taps,
     reversal_samples,
@@ -17,7 +18,6 @@ from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.motions import motion_of, plate_noise_of, rules_of
 from testbed.lab.experiment.rig import robot_of
 from testbed.motion.design import DesignProblem, Watch
@@ -37,7 +37,7 @@ FEWEST = 3
 
 def excite(
     experiment: Experiment,
-    watch: Watch = lambda done, total, best: None,
+    watch: Watch = unreported,
     prior: Array | None = None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Excitation:
@@ -63,11 +63,8 @@ def excite(
 
 def _random(experiment: Experiment, rules: Rules) -> Fourier | None:
     """What the experiment would run without a design."""
-    motion = experiment.motion.model_copy(update={"file": ""})
     try:
-        return motion_of(
-            experiment.model_copy(update={"motion": motion}), rules.tree, rules
-        )
+        return motion_of(experiment.with_(motion={"file": ""}), rules.tree, rules)
     except TestbedError:
         return None
 
@@ -184,7 +181,7 @@ def _rows(experiment: Experiment, rules: Rules) -> dict[Model, SampledRows]:
         for m in dict.fromkeys(wanted)
     }
     if experiment.robot.sensor:
-        seen = experiment.sensed(tree, model_of(experiment))
+        seen = experiment.sensed(tree)
         joints = [tree.index(name) for name in seen.names]
         found["reaction"] = SampledRows(seen, minimal_set(seen, "reaction"), joints)
     return found

@@ -15,10 +15,12 @@ import tomli_w
 from pydantic import Field
 
 from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ExperimentError
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.base.toml_text import Finite, checked, override, read_toml
 from testbed.core.estimation.settings import Settings
+from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.lab.experiment.experiment_tables import (
     ExcitationTable,
     Expectations,
@@ -27,7 +29,7 @@ from testbed.lab.experiment.experiment_tables import (
     RunName,
     SimulationTable,
 )
-from testbed.lab.experiment.robot_tables import RobotTables, SensorTable
+from testbed.lab.experiment.robot_tables import BodyTable, RobotTables, SensorTable
 from testbed.lab.experiment.sensors import ForcePlate
 from testbed.lab.instruments.chain import Instrument
 
@@ -133,6 +135,22 @@ class Experiment(Summarized, RobotTables):
     def as_toml(self) -> str:
         """The experiment with every default written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+    @property
+    def file(self) -> ModelFile:
+        """The model file, and how it is read."""
+        mimic = mimic_joints(self.model) if self.robot.lock_mimic else ()
+        held = dict.fromkeys(mimic) | self.robot.lock
+        return ModelFile(Path(self.model), self.weld_root, self.robot.bodies, held)
+
+    def with_nearest_bodies(self) -> tuple[Experiment, tuple[Diagnostic, ...]]:
+        """The same with the nearest bodies in place of those that cannot be; what to say of it."""
+        file = self.file
+        found = nearest_bodies(file.path, weld_root=file.weld_root, lock=file.lock)
+        tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
+        repair = {"repair": tables | self.robot.repair}
+        robot = self.robot.model_copy(update=repair)
+        return self.model_copy(update={"robot": robot}), found.diagnostics
 
     @property
     def mounted_sensors(self) -> list[ForcePlate]:

@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from testbed.bodies.shapes.shapes import Shape
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, InfeasibleMotion
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.robot.force_sensor import beyond_sensor
+from testbed.core.robot.model_file import file_of
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of, with_nearest_bodies
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import PLATE
-from testbed.motion.collision_model import Obstacle
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import Limits, limits_of
+from testbed.motion.limits import limits_of
 from testbed.motion.motion_file import read_motion
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import as_fast, best_motion
-from testbed.motion.surroundings import Surroundings, surroundings
+from testbed.motion.surroundings import Surroundings, rules_within, surroundings
 from testbed.motion.terms import (
-    EffortTerm,
+    ForceTerm,
     PlateRange,
     PlateTerm,
     SensorTerm,
-    SmoothTerm,
 )
 
 QUIET_PLATE = np.repeat([0.5, 0.1], 3)
@@ -116,27 +115,20 @@ def rules_of(
     table, motion = experiment.excitation, experiment.motion
     limits = limits_of(tree, motion.max_velocity, motion.max_acceleration)
     margin = table.margin if designed else 1.0
-    terms = _terms(experiment, tree, limits, margin, designed=designed)
-    if like is not None:
-        return replace(like, margin=margin, terms=terms)
-    if isinstance(table.clearance, str):
-        seen = Surroundings()
-    else:
-        around = obstacles_of(experiment), table.exclude, table.floor
-        seen = surroundings(
-            model_of(experiment), tree, limits, table.clearance, *around
-        )
-    return Rules(
-        tree, limits, margin, terms, seen.collision, seen.clearance, seen.diagnostics
-    )
+    terms = _terms(experiment, tree, margin, designed=designed)
+    around: Surroundings | Rules = like or Surroundings()
+    if like is None and not isinstance(table.clearance, str):
+        others = obstacles_of(experiment), table.exclude, table.floor
+        around = surroundings(tree, limits, table.clearance, *others)
+    return rules_within(tree, limits, margin, terms, around)
 
 
 def _terms(
-    experiment: Experiment, tree: Tree, limits: Limits, margin: float, *, designed: bool
-) -> tuple[SmoothTerm, ...]:
-    """Limits of plate, force sensors and motors."""
+    experiment: Experiment, tree: Tree, margin: float, *, designed: bool
+) -> list[ForceTerm]:
+    """Limits of plate and force sensors."""
     table, about = experiment.excitation, experiment.robot.sensor
-    terms: list[SmoothTerm] = []
+    terms: list[ForceTerm] = []
     # else its range matters only where it is said
     on_plate = designed and about in (
         "",
@@ -155,14 +147,12 @@ def _terms(
             else PlateTerm(plate, pedestal_wrench(tree), margin)
         )
     if designed and experiment.force_sensors:
-        links = model_of(experiment).links()
+        links = file_of(tree).links()
         for name, sensor in experiment.force_sensors.items():
             beyond = beyond_sensor(tree, links, sensor)
             own = PlateRange(np.array(experiment.sensor_instruments[name].full_scale))
             terms.append(SensorTerm(tree, beyond, own, margin, name))
-    if np.isfinite(limits.effort).any():
-        terms.append(EffortTerm(tree, limits, margin))
-    return tuple(terms)
+    return terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,15 +183,16 @@ def checked_motion(path: Path, settings: Sequence[str] = ()) -> CheckedMotion:
         ExperimentError: It is no motion, or of another robot.
     """
     said = read_motion(path)
-    experiment, _ = with_nearest_bodies(Experiment.of_model(said.model, settings))
+    experiment, _ = Experiment.of_model(said.model, settings).with_nearest_bodies()
     tree = robot_of(experiment)
     motion, rules = said.motion_for(tree), rules_of(experiment, tree, designed=True)
     return CheckedMotion(experiment, motion, rules, prove(motion, rules))
 
 
-def obstacles_of(experiment: Experiment) -> tuple[Obstacle, ...]:
+def obstacles_of(experiment: Experiment) -> tuple[Shape, ...]:
     """The boxes around an experiment's robot."""
-    boxes = experiment.excitation.obstacle
+    eye, black = np.eye(3), np.array([0.0, 0, 0, 1])
     return tuple(
-        Obstacle(np.array(box.centre), np.array(box.size) / 2) for box in boxes
+        Shape(-1, "box", np.array(box.size) / 2, np.array(box.centre), eye, black)
+        for box in experiment.excitation.obstacle
     )

@@ -16,6 +16,7 @@ import tomli_w
 
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import ModelError, plural, round_significant
+from testbed.core.base.stages import unreported
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.robot.friction import VISCOUS
@@ -165,7 +166,7 @@ def new_experiment(
     strict: bool = False,
     tried: bool = True,
     lock: Lock | None = None,
-    say: Callable[[str], None] = lambda line: None,
+    say: Callable[[str], None] = unreported,
 ) -> str:
     """The text of an experiment file that runs as it is.
 

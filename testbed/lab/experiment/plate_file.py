@@ -11,9 +11,9 @@ from pydantic import BaseModel
 from testbed.applications.calibration import Calibration
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError
-from testbed.core.base.files import replacing
 from testbed.core.base.installation import version
 from testbed.core.base.toml_text import KNOWN_KEYS, Finite, checked, read_toml
+from testbed.core.base.whole_files import write_whole
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.robot_tables import StrictTable
@@ -58,8 +58,7 @@ def write_plate(plate: Calibration, path: Path) -> None:
     text = _HEAD.format(version=version()) + tomli_w.dumps(
         content.model_dump(mode="json")
     )
-    with replacing(path) as fresh:
-        fresh.write_text(text, encoding="utf-8")
+    write_whole(path, text)
 
 
 def read_plate(path: Path, tree: Tree) -> Calibration:

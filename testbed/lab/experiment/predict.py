@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -20,7 +20,6 @@ from testbed.core.estimation.information import Information
 from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.run import Run, shown_motion
 from testbed.sensors.corrected import corrected
 
@@ -56,35 +55,17 @@ class Channel:
         return {by: self.measured - each for by, each in self.predicted.items()}
 
 
-@dataclass(frozen=True, eq=False)
-class Signal:
-    """One kind of measurement and what the estimates say of it.
-
-    Attributes:
-        kind: "wrench" or "torque".
-        channels: Names, (k,).
-        units: One a channel.
-        measured: (M, k) [N, N m].
-        predicted: By method, (M, k). The wrench contains the pedestal's; joint torques of the
-            external estimate lack friction.
-    """
-
-    kind: Literal["wrench", "torque"]
-    channels: tuple[str, ...]
-    units: tuple[str, ...]
-    measured: Array
-    predicted: Mapping[Method, Array]
-
-    def residual(self, method: Method) -> Array:
-        """Measured less predicted, (M, k)."""
-        return self.measured - self.predicted[method]
-
-    @property
-    def by_channel(self) -> Iterator[Channel]:
-        """Its channels one by one."""
-        for c, (name, unit) in enumerate(zip(self.channels, self.units, strict=True)):
-            predicted = {by: each[:, c] for by, each in self.predicted.items()}
-            yield Channel(self.kind, c, name, unit, self.measured[:, c], predicted)
+def _channels(
+    kind: Literal["wrench", "torque"],
+    names: Sequence[str],
+    units: Sequence[str],
+    measured: Array,
+    predicted: Mapping[Method, Array],
+) -> Iterator[Channel]:
+    """Channels of one kind, measured and predicted, by method, in columns, (M, k)."""
+    for c, (name, unit) in enumerate(zip(names, units, strict=True)):
+        found = {by: each[:, c] for by, each in predicted.items()}
+        yield Channel(kind, c, name, unit, measured[:, c], found)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -95,14 +76,15 @@ class Predictions(Summarized):
         run: Whose estimates.
         recording: Of the run, or another of the same robot; joints in the tree's order.
         motion: What the recording shows, without the ends that filters take, M samples.
-        signals: What was measured: the wrench, the joint torques, or both.
+        channels: What was measured: the wrench, the joint torques, or both. The wrench contains
+            the pedestal's; joint torques of the external estimate lack friction.
         unseen: Whether the recording is another one.
     """
 
     run: Run
     recording: Recording
     motion: Motion
-    signals: tuple[Signal, ...]
+    channels: tuple[Channel, ...]
     unseen: bool = False
 
     @property
@@ -114,11 +96,6 @@ class Predictions(Summarized):
             size, *left = (f"{np.sqrt(np.mean(x**2)):.3g}" for x in values)
             rows.append((each.name, size, each.unit, f"left: {', '.join(left)}"))
         return SummaryTable(f"{self.motion.samples} samples, rms", tuple(rows))
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """All channels of the signals."""
-        return tuple(each for signal in self.signals for each in signal.by_channel)
 
     @property
     def time(self) -> Array:
@@ -139,10 +116,12 @@ class Predictions(Summarized):
 
         Friction, and what the drives report wrongly. None without torques or that estimate.
         """
-        for signal in self.signals:
-            if signal.kind == "torque" and "external" in signal.predicted:
-                return signal.residual("external")
-        return None
+        left = [
+            each.residuals["external"]
+            for each in self.channels
+            if each.kind == "torque" and "external" in each.predicted
+        ]
+        return np.column_stack(left) if left else None
 
     def smoothed(self, cutoff: float) -> Predictions:
         """Through one low-pass, without the ends it takes; as it is where it is too short for it.
@@ -156,22 +135,18 @@ class Predictions(Summarized):
             return self
 
         def passed(values: Array) -> Array:
-            return np.column_stack(
-                [np.convolve(each, weights, "valid") for each in values.T]
-            )
+            return np.convolve(values, weights, "valid")
 
-        signals = [
+        channels = [
             replace(
-                signal,
-                measured=passed(signal.measured),
-                predicted={
-                    method: passed(each) for method, each in signal.predicted.items()
-                },
+                each,
+                measured=passed(each.measured),
+                predicted={by: passed(values) for by, values in each.predicted.items()},
             )
-            for signal in self.signals
+            for each in self.channels
         ]
         inner = slice(reach, self.motion.samples - reach)
-        return replace(self, motion=self.motion[inner], signals=tuple(signals))
+        return replace(self, motion=self.motion[inner], channels=tuple(channels))
 
     def friction(self, speed: Array) -> Array | None:
         """Joint friction at speeds, (k, n) [N m or N], by the torque estimate; None without one.
@@ -217,7 +192,6 @@ def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
         recording=data.ordered(tree),
         estimates={each.method: each for each in found},
         settings=found[0].settings,
-        model=tree.file if isinstance(tree.file, ModelFile) else None,
     )
 
 
@@ -240,14 +214,11 @@ def predict(
     recording = _without_faults(run, recording)
     motion, inner = shown_motion(recording, run.settings)
     wrench, torque = predictions(run.tree, recording, motion, run.estimates)
-    signals = []
+    channels: list[Channel] = []
     if recording.wrench is not None:
-        signals.append(
-            Signal("wrench", AXES, PLATE_UNITS, recording.wrench[inner], wrench)
-        )
+        measured = recording.wrench[inner]
+        channels += _channels("wrench", AXES, PLATE_UNITS, measured, wrench)
     if recording.torque is not None:
-        units = channel_units(run.tree, "internal")
-        signals.append(
-            Signal("torque", run.tree.names, units, recording.torque[inner], torque)
-        )
-    return Predictions(run, recording, motion, tuple(signals), bool(others))
+        units, measured = channel_units(run.tree, "internal"), recording.torque[inner]
+        channels += _channels("torque", run.tree.names, units, measured, torque)
+    return Predictions(run, recording, motion, tuple(channels), bool(others))

@@ -23,6 +23,7 @@ from testbed.core.estimation.estimate import (
     METHODS,
     Estimate,
     EstimateSummary,
+    Method,
     channels_of,
 )
 from testbed.core.estimation.settings import Settings
@@ -30,11 +31,10 @@ from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
 from testbed.core.recordings.held import hold_still
 from testbed.core.recordings.source import Source
-from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.model_file import ModelFile, file_of
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.evaluate import wrong_prior
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.results import EXPERIMENT, RESULT, UsedModel
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import RecordingTables, StrictTable
@@ -52,7 +52,6 @@ class KeptResult:
     Attributes:
         tree: The robot.
         settings: How the signals were treated.
-        file: The robot's, with the joints that are held.
         prior: The robot with its bodies before the data: the file's; of a run, whose file is the
             truth, those that its experiment starts from.
         options: What is asked of consistent bodies, the prior error that which data chose.
@@ -62,11 +61,15 @@ class KeptResult:
 
     tree: Tree
     settings: Settings
-    file: ModelFile
     prior: Tree
     options: ConsistencyOptions
     estimates: tuple[EstimateSummary, ...] = ()
     answers: tuple[ReportedEstimate, ...] = ()
+
+    @property
+    def file(self) -> ModelFile:
+        """The robot's model file, with the joints that are held."""
+        return file_of(self.tree)
 
     @property
     def whole_estimates(self) -> list[Estimate]:
@@ -137,19 +140,9 @@ def _estimates(
     Raises:
         ExperimentError: There is none, or one is not what it should be.
     """
-    said = content.get("posterior"), content.get("estimates")
-    added, every = (x if isinstance(x, dict) else {} for x in said)
-    own = {
-        m: _decoded(EstimateSummary, every[m], f"{path}: {m}")
-        for m in METHODS
-        if m in every
-    }
-    with_file = {
-        m: _decoded(Posterior, added[m], f"{path}: {m}: posterior")
-        for m in METHODS
-        if m in added
-    }
-    there = [method for method in METHODS if method in own or method in with_file]
+    own = _by_method(EstimateSummary, content.get("estimates"), path)
+    with_file = _by_method(Posterior, content.get("posterior"), path, ": posterior")
+    there = [method for method in METHODS if method in own | with_file]
     if not there:
         raise ExperimentError(
             f"{path}: no result: it has no {' or '.join(METHODS)} estimate"
@@ -162,6 +155,15 @@ def _estimates(
     except ValueError as error:
         raise ExperimentError(f"{path}: {error}") from None
     return tuple(own.values()), tuple(answers)
+
+
+def _by_method(
+    kind: type[Part], content: Any, path: Path, part: str = ""
+) -> dict[Method, Part]:
+    """Read one estimate a method; of what is no object, none."""
+    every = content if isinstance(content, dict) else {}
+    there = [method for method in METHODS if method in every]
+    return {m: _decoded(kind, every[m], f"{path}: {m}{part}") for m in there}
 
 
 def _decoded(kind: type[Part], content: Any, source: str) -> Part:
@@ -218,12 +220,12 @@ def _of_recording(
     place = _checked_model(model or Path(kept.path), kept.sha256, path)
     held = kept.lock | tables.robot.lock
     file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
-    tree, options = tables.sensed(tables.robot.on(file.tree()), file), tables.consistent
+    tree, options = tables.sensed(tables.robot.on(file.tree())), tables.consistent
     if not any(word.startswith("consistent.prior_error") for word in words):
         parts = (content.get("posterior") or {}).values()
         chosen = [part["prior_error"] for part in parts if part.get("used")]
         options = replace(options, prior_error=min(chosen, default=options.prior_error))
-    return KeptResult(tree, tables.identification, file, tree, options)
+    return KeptResult(tree, tables.identification, tree, options)
 
 
 def _of_run(
@@ -244,9 +246,7 @@ def _of_run(
     options = experiment.consistent or ConsistencyOptions()
     tree = robot_of(experiment)
     prior = wrong_prior(tree, experiment)
-    return KeptResult(
-        tree, experiment.identification, model_of(experiment), prior, options
-    )
+    return KeptResult(tree, experiment.identification, prior, options)
 
 
 def _checked_model(place: Path, sha256: object, path: Path) -> Path:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from testbed.core.base.errors import ExperimentError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.motions import FAST, motion_of, rules_of
 from testbed.lab.experiment.rig import rig_of
 from testbed.lab.experiment.simulate import simulate
@@ -22,8 +20,8 @@ LEAST_PERIODS = 0.1
 
 def record(
     experiment: Experiment,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-    watch: Watch = lambda time, truth: None,
+    progress: Progress = unreported,
+    watch: Watch = unreported,
     forces: StepForces | None = None,
     installed: int | None = None,
     motion: Fourier | None = None,
@@ -44,7 +42,7 @@ def record(
     table = experiment.motion
     rig = rig_of(experiment)
     rig.steps(table.duration)  # refuses before any work
-    experiment.sensed(rig.robot, model_of(experiment))
+    experiment.sensed(rig.robot)
     _check_motion(experiment)
     motion = motion or motion_of(experiment, rig.true_robot)
     course: Fourier | RestToRest = motion

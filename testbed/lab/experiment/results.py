@@ -23,6 +23,7 @@ from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import replacing
 from testbed.core.base.installation import versions
 from testbed.core.base.toml_text import Finite
+from testbed.core.base.whole_files import write_whole
 from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
@@ -193,7 +194,7 @@ def identified(
     tables: RecordingTables,
     diagnostics: Iterable[Diagnostic] = (),
     consistent: Consistent | None = None,
-    posterior: Mapping[Method, Posterior] | None = None,
+    posterior: Mapping[Method, Posterior] = {},
     *,
     plain: bool = False,
 ) -> Result:
@@ -219,11 +220,11 @@ def identified(
         estimates=found,
         diagnostics=(*diagnostics, *diagnostics_of(found.values())),
         consistent=consistent,
-        posterior=posterior or {},
+        posterior=posterior,
         plain=plain,
         verdict=verdict_of(
             found.values(),
-            (posterior or {}).values(),
+            posterior.values(),
             PLAIN if plain else POSTERIOR,
             diagnostics,
         ),
@@ -254,8 +255,7 @@ def write_estimates(result: Result, path: Path) -> None:
         result: With the source by which it is known again.
         path: Where to; what stands there is replaced.
     """
-    with replacing(path) as fresh:
-        fresh.write_bytes(gzip.compress(json_text(encode(result), exact=True), mtime=0))
+    write_whole(path, gzip.compress(json_text(encode(result), exact=True), mtime=0))
 
 
 def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | None:

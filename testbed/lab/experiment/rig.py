@@ -16,7 +16,6 @@ from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.model_file import ModelFile, file_of
 from testbed.core.robot.tree import Tree, require_tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.sensors import (
     Encoders,
     ForcePlate,
@@ -209,7 +208,7 @@ def rig_of(experiment: Experiment) -> Rig:
         UnknownName: A table names a joint that the robot has not.
         ExperimentError: The base is measured, and not on a bedplate.
     """
-    tree = model_of(experiment).tree()
+    tree = experiment.file.tree()
     for name in (*experiment.motion.max_velocity, *experiment.motion.max_acceleration):
         tree.index(name)  # refuses joints that are not there
     if experiment.robot.base == "measured":
@@ -234,4 +233,4 @@ def robot_of(experiment: Experiment) -> Tree:
 
 def sensed_robot(experiment: Experiment) -> Tree:
     """What an experiment's wrench is of: its robot, or what lies beyond its force sensor."""
-    return experiment.sensed(robot_of(experiment), model_of(experiment))
+    return experiment.sensed(robot_of(experiment))

@@ -21,7 +21,7 @@ from testbed.core.estimation.settings import Settings
 from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
 from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.model_file import file_of
 from testbed.core.robot.rotations import from_rpy
 from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree
@@ -211,12 +211,11 @@ class RobotTables(StrictTable):
             own = own | {about: SensorTable()}
         return {name: table.sensor(name) for name, table in own.items()}
 
-    def sensed(self, tree: Tree, model: ModelFile) -> Tree:
+    def sensed(self, tree: Tree) -> Tree:
         """What the wrench is of: the whole robot, or what lies beyond a force sensor.
 
         Args:
             tree: The robot.
-            model: Its model file.
 
         Raises:
             UnknownName: The model file has no such link.
@@ -225,10 +224,10 @@ class RobotTables(StrictTable):
         about, sensors = self.robot.sensor, self.force_sensors
         if not about:
             return tree
+        links = file_of(tree).links()
         if about == PLATE:
-            return before_sensors(tree, model.links(), sensors.values())
-        own = sensors.pop(about)
-        return beyond_sensor(tree, model.links(), own, sensors.values())
+            return before_sensors(tree, links, sensors.values())
+        return beyond_sensor(tree, links, sensors.pop(about), sensors.values())
 
 
 class RecordingTables(RobotTables):

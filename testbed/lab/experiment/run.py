@@ -24,6 +24,7 @@ from testbed.core.base.diagnostics import (
     sentences,
 )
 from testbed.core.base.errors import RecordingError, SettingsError, TestbedError, plural
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
@@ -35,7 +36,6 @@ from testbed.core.estimation.estimate import (
     Method,
     sensor_of,
 )
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
@@ -153,7 +153,6 @@ class Run(Diagnosed, Summarized):
         settings: How the recording's signals were treated.
         experiment: What was carried out; None for a recording that no experiment made.
         score: The estimates against the truth; None where the truth is not known.
-        model: The model file, for its shapes; None if the robot came from no file.
         diagnostics: What a careful reader should know, in order.
         validation: What the estimates leave of a motion that they have not seen, by method;
             {} where there is none.
@@ -172,7 +171,6 @@ class Run(Diagnosed, Summarized):
     settings: Settings = field(default_factory=Settings)
     experiment: Experiment | None = None
     score: Score | None = None
-    model: ModelFile | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
     validation: Mapping[Method, Validation] = field(default_factory=dict)
     unseen: Recording | None = None
@@ -180,6 +178,11 @@ class Run(Diagnosed, Summarized):
     consistent: Consistent | None = None
     posterior: Mapping[Method, Posterior] = field(default_factory=dict)
     verdict: tuple[Diagnostic, ...] = ()
+
+    @property
+    def model(self) -> ModelFile | None:
+        """The model file, for its shapes; None if the robot came from no file."""
+        return self.tree.file if isinstance(self.tree.file, ModelFile) else None
 
     @property
     def summary(self) -> SummaryTable:
@@ -250,13 +253,12 @@ def assemble_run(
     name: str,
     settings: Settings = DEFAULTS,
     experiment: Experiment | None = None,
-    model: ModelFile | None = None,
     doubt: CalibrationCovariance | None = None,
     methods: Iterable[Method] = METHODS,
     prior_error: float | None = None,
     bodies: tuple[Prior, ConsistencyOptions] | None = None,
     threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
 ) -> Run:
     """Identify by every method that the recording's signals allow, and score where that is known.
 
@@ -268,7 +270,6 @@ def assemble_run(
         name: Of the run.
         settings: How the signals are treated; default those of `Settings()`.
         experiment: What made the recording: the tree then holds the truth.
-        model: The model file, for its shapes.
         doubt: About the plate by which the recording was corrected.
         methods: Which estimates to make.
         prior_error: Of the model file's bodies, as for `posterior`.
@@ -302,7 +303,6 @@ def assemble_run(
         settings=with_chosen_settings(settings, estimates.values()),
         experiment=experiment,
         score=_score(tree, recording, estimates, settings, experiment),
-        model=model,
         consistent=found.bodies,
         posterior=posteriors,
         verdict=verdict_of(estimates.values(), posteriors.values()),
@@ -323,8 +323,8 @@ def _score(
         return None
     motion, inner = shown_motion(recording, settings)
     torque = None if recording.torque is None else recording.torque[inner]
-    friction = experiment.simulation.friction
-    return score(tree, estimates, settings.zeros, friction, motion, torque)
+    plant = experiment.simulation
+    return score(tree, estimates, settings.zeros, plant, motion, torque)
 
 
 def _diagnostics(run: Run, bodies_failure: TestbedError | None) -> Iterator[Diagnostic]:

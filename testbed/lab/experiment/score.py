@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from testbed.applications.drives.friction_curves import DriveEstimate, FrictionCurve
 from testbed.applications.drives.identify_drives import DriveFindings
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import Motion, regressor
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.dynamics.regressor import regressor
 from testbed.core.estimation.estimate import Estimate, Method, channel_units
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set, selection
-from testbed.core.parameters.symbols import barycentric
+from testbed.core.parameters.symbols import barycentric, parameter_scale
 from testbed.core.recordings.columns import PLATE_UNITS
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.core.robot.friction import COULOMB, LOAD, ROTOR, term_torque
@@ -23,6 +26,7 @@ from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_tables import SimulationTable
 from testbed.sensors.errors.torque_constant_error import TorqueConstantError
 from testbed.sensors.kind_table import each_joint
 
@@ -178,7 +182,7 @@ def score(
     tree: Tree,
     estimates: Mapping[Method, Estimate],
     zeros: bool | Sequence[str],
-    friction: bool,
+    plant: SimulationTable,
     motion: Motion,
     torque: Array | None,
 ) -> Score:
@@ -191,12 +195,12 @@ def score(
         tree: The robot with its true inertias and friction, under the recording's gravity.
         estimates: By method.
         zeros: Which zeros were taken as known, as in `minimal_set`.
-        friction: Whether the plant had the file's friction.
+        plant: Whether it had the file's friction, and its effects.
         motion: That was identified, M samples.
         torque: Motor torques along it, (M, n) [N m or N]; None where there are none.
     """
     errors = {
-        method: _errors(estimate, _truth(tree, estimate, friction), motion, torque)
+        method: _errors(estimate, _truth(tree, estimate, plant), motion, torque)
         for method, estimate in estimates.items()
     }
     metrics: dict[str, float | None] = {}
@@ -222,12 +226,17 @@ def score(
     return Score(errors, known, accuracies(tree, estimates, zeros, motion))
 
 
-def _truth(tree: Tree, estimate: Estimate, friction: bool) -> Array:
+def _truth(tree: Tree, estimate: Estimate, plant: SimulationTable) -> Array:
     """True values in the order of an estimate's names."""
-    theta = barycentric(tree)
-    if estimate.drives is None:
+    theta, drives = barycentric(tree), estimate.drives
+    if drives is None:
         return estimate.minimal.values(theta)
-    return estimate.drives.values(theta, tree if friction else tree.without_friction())
+    own = tree if plant.friction else tree.without_friction()
+    added = defaultdict[JointLaw, Any](float)
+    for effect in plant.effect:
+        for law, coefficients in effect.on(tree.names).terms(own).items():
+            added[law] += coefficients
+    return drives.values(theta, own, added)
 
 
 def shared_errors(tree: Tree, values: Array, zeros: bool | Sequence[str]) -> Array:
@@ -276,15 +285,8 @@ def _term_scales(
 
 def _usual(truth: Array, units: Sequence[str]) -> Array:
     """Scales of minimal parameters, (p,); not a number where all of a unit are zero."""
-    scale = np.abs(truth)
-    least = NOTHING * scale.max(initial=0.0)
-    for unit in set(units):
-        same = np.array([u == unit for u in units])
-        largest = scale[same].max()
-        scale[same] = (
-            np.maximum(scale[same], SMALL * largest) if largest > least else np.nan
-        )
-    return scale
+    scale = parameter_scale(truth, units, SMALL)
+    return np.where(scale > SMALL * NOTHING * scale.max(initial=0.0), scale, np.nan)
 
 
 def relative_errors(values: Array, truth: Array, units: Sequence[str]) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
@@ -15,6 +14,7 @@ from testbed.core.base.contents import fingerprint
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import ExperimentError, SettingsError
 from testbed.core.base.installation import versions
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.recordings.geometry import geometry
 from testbed.core.recordings.metadata import Metadata, three
@@ -82,8 +82,8 @@ def simulate(
     seconds: float = 60.0,
     seed: int = 0,
     *,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-    watch: Watch = lambda time, truth: None,
+    progress: Progress = unreported,
+    watch: Watch = unreported,
     forces: StepForces | None = None,
     installed: int | None = None,
 ) -> Recording:

@@ -47,9 +47,7 @@ class Payload(Effect):
     @property
     def body(self) -> Inertia:
         """In the frame of the joint's body."""
-        centre, moments = (
-            np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia)
-        )
+        centre, moments = (np.broadcast_to(v, 3) for v in (self.centre, self.inertia))
         return Inertia.about_centre(self.mass, centre, np.diag(moments))
 
     def robot(self, tree: Tree) -> Tree:
@@ -64,9 +62,7 @@ class Payload(Effect):
         """A body of MuJoCo's, welded to the link."""
         link = self._link(tree)
         body = spec.joint(prefix + tree.names[link]).parent
-        centre, moments = (
-            np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia)
-        )
+        centre, moments = (np.broadcast_to(v, 3) for v in (self.centre, self.inertia))
         X_LC = Transform(p_AB_A=centre)
         _weld(spec, body, "testbed/payload", tree, link, X_LC, self.mass, moments)
 

@@ -7,11 +7,12 @@ the robot of the model file; and on the robot itself, where what it adds is part
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 from testbed.core.base.arrays import Array
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
 from testbed.sensors.kind_table import KindTable
 
@@ -60,6 +61,15 @@ class Effect(KindTable):
         """
         del tree, step
         return None
+
+    def terms(self, tree: Tree) -> Mapping[JointLaw, Array]:
+        """True coefficients that it adds to laws of the joints' torques, (n,) or ().
+
+        Args:
+            tree: The robot, with its friction.
+        """
+        del tree
+        return {}
 
     def gears(self, tree: Tree) -> Gears | None:
         """Friction of gears that is solved with the motion at every step; None for none.

@@ -7,6 +7,7 @@ friction that grows with the load is solved with the motion, and needs no such s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -15,7 +16,17 @@ from annotated_types import Ge, Gt, Le
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
-from testbed.core.robot.friction import COULOMB, ROOM, ROTOR, VISCOUS, fading, joint_law
+from testbed.core.robot.friction import (
+    COULOMB,
+    ROOM,
+    ROTOR,
+    VISCOUS,
+    WARM_VISCOUS,
+    fading,
+    joint_law,
+    stribeck,
+)
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect, StepForces
 from testbed.lab.simulation.gear_friction import Gears
@@ -25,8 +36,25 @@ SMOOTH = 0.01
 """Speed over which a sign is smoothed [rad/s or m/s]."""
 
 
+class LawFriction(Effect):
+    """Friction by laws of the velocity: coefficients times columns, jumps smoothed."""
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Torques of the terms."""
+        del step
+        terms = self.terms(tree)
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q, motor
+            rest = np.zeros_like(qd)
+            each = (size * law.columns(qd, rest, SMOOTH) for law, size in terms.items())
+            return -sum(each, rest)
+
+        return push
+
+
 @dataclass(frozen=True, eq=False)
-class Stribeck(Effect):
+class Stribeck(LawFriction):
     """Friction that is higher at low speed: coefficient sign(v) exp(-(v / speed)^2).
 
     It comes on top of the joints' own dry and viscous friction.
@@ -42,20 +70,15 @@ class Stribeck(Effect):
     coefficient: Annotated[PerJoint, Ge(0)] = 3.0
     speed: Annotated[PerJoint, Gt(0)] = 0.08
 
-    def forces(self, tree: Tree, step: float) -> StepForces:
-        """The more the slower; the sign is smoothed."""
-        del tree, step
+    def terms(self, tree: Tree) -> Mapping[JointLaw, Array]:
+        """One law a speed."""
+        del tree
         size, speed = each_joint(self.coefficient), each_joint(self.speed)
-
-        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
-            del time, q, motor
-            return np.asarray(-size * fading(qd, speed) * np.tanh(qd / SMOOTH))
-
-        return push
+        return {stribeck(v): size * (speed == v) for v in speed.ravel().tolist()}
 
 
 @dataclass(frozen=True, eq=False)
-class FrictionTerm(Effect):
+class FrictionTerm(LawFriction):
     """Friction by any term of the joints' torques that estimates know: coefficient times column.
 
     It comes on top of the joints' own dry and viscous friction.
@@ -71,20 +94,15 @@ class FrictionTerm(Effect):
     term: str = "quadratic"
     coefficient: PerJoint = 1.0
 
-    def forces(self, tree: Tree, step: float) -> StepForces:
-        """Torques of the term; a jump is smoothed."""
-        del tree, step
-        law, size = joint_law(self.term), each_joint(self.coefficient)
+    def terms(self, tree: Tree) -> Mapping[JointLaw, Array]:
+        """The law of that name."""
+        del tree
+        law = joint_law(self.term)
         if law.by or law.parameter == ROTOR.parameter:
             raise SettingsError(
                 f"friction_term: '{self.term}' depends on more than the velocity"
             )
-
-        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
-            del time, q, motor
-            return -size * law.columns(qd, np.zeros_like(qd), SMOOTH)
-
-        return push
+        return {law: each_joint(self.coefficient)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +176,7 @@ class WarmingDrives(Effect):
     def forces(self, tree: Tree, step: float) -> StepForces:
         """What viscous friction has more than at 25 degC."""
         del step
-        change = VISCOUS.coefficients(tree) * each_joint(self.viscous)
+        change = self.terms(tree)[WARM_VISCOUS]
 
         def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
             del q, motor
@@ -166,6 +184,10 @@ class WarmingDrives(Effect):
             return np.asarray(-change * warmth * qd)
 
         return push
+
+    def terms(self, tree: Tree) -> Mapping[JointLaw, Array]:
+        """Viscous friction's change."""
+        return {WARM_VISCOUS: VISCOUS.coefficients(tree) * each_joint(self.viscous)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,6 +239,4 @@ def _bent(
     """Deflection after a step of constant velocity: exact, so that it never overshoots."""
     tiny = np.finfo(float).tiny
     decay = np.maximum(step * stiff * np.abs(velocity) / np.maximum(slip, 1e-99), tiny)
-    return np.asarray(
-        before * np.exp(-decay) - velocity * step * np.expm1(-decay) / decay
-    )
+    return before * np.exp(-decay) - velocity * step * np.expm1(-decay) / decay

@@ -19,6 +19,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.recordings.recording import Truth
 from testbed.core.robot.formats.mjcf_compile import unwarned_steps
 from testbed.core.robot.tree import Tree
@@ -261,8 +262,8 @@ def simulate_motion(
     duration: float,
     bandwidth: float,
     sampling: Sampling,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-    watch: Watch = lambda time, truth: None,
+    progress: Progress = unreported,
+    watch: Watch = unreported,
     forces: StepForces | None = None,
     gears: Gears | None = None,
 ) -> Rollout:

@@ -12,17 +12,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from testbed.bodies.shapes.appearance import Appearance
+from testbed.bodies.shapes.shapes import Shape
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
-from testbed.core.base.files import replacing
+from testbed.core.base.whole_files import write_whole
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.predict import run_of
 from testbed.lab.experiment.results import read_run
 from testbed.lab.experiment.run import Run
-from testbed.motion.collision_model import Obstacle
 from testbed.motion.fourier import Fourier
 from testbed.motion.proof import Proof, Rules, Slack, slack
 from testbed.view.motion import margin_table
@@ -47,7 +47,7 @@ def write_motion_rrd(
     rules: Rules,
     proof: Proof,
     look: Appearance,
-    obstacles: tuple[Obstacle, ...] = (),
+    obstacles: tuple[Shape, ...] = (),
 ) -> None:
     """Write one period of a motion: robot, paths of its tips, boxes around it, slack of limits.
 
@@ -80,12 +80,12 @@ def write_motion_rrd(
         stream.log("/notes", notes, static=True)
 
 
-def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Obstacle, ...]) -> None:
+def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Shape, ...]) -> None:
     if not obstacles:
         return
     boxes = rr.Boxes3D(
-        centers=[box.centre for box in obstacles],
-        half_sizes=[box.half for box in obstacles],
+        centers=[box.position for box in obstacles],
+        half_sizes=[box.size for box in obstacles],
         colors=np.full(len(obstacles), COLOURS["force"], np.uint32),
     )
     stream.log("/world/obstacles", boxes, static=True)
@@ -150,8 +150,7 @@ def _written(path: Path, arranged: rrb.Blueprint) -> Iterator[rr.RecordingStream
     memory = stream.memory_recording()
     stream.send_blueprint(arranged, make_active=False)
     yield stream
-    with replacing(path) as fresh:
-        fresh.write_bytes(memory.drain_as_bytes())
+    write_whole(path, memory.drain_as_bytes())
 
 
 def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:

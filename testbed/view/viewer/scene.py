@@ -71,10 +71,9 @@ class Scene:
     @cached_property
     def wrench(self) -> Array | None:
         """The measured wrench over the motion, (M, 6) [N, N m]; None if there was no plate."""
-        for signal in self.predictions.signals:
-            if signal.kind == "wrench":
-                return signal.measured
-        return None
+        channels = self.predictions.channels
+        found = [each.measured for each in channels if each.kind == "wrench"]
+        return np.column_stack(found) if found else None
 
     @cached_property
     def span(self) -> float:

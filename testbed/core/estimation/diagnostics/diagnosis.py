@@ -393,7 +393,7 @@ def _late(estimate: Estimate, problem: Problem) -> Iterator[Diagnostic]:
     rotors = missing and _score(problem, estimate, ROTOR) > delay.z**2
     first = "late-torques" if delay.z > 0 else "encoder_delays"
     causes = (first, *[ROTOR.kind] * missing, "friction-terms", "sampling")
-    told = diagnose(
+    stated = diagnose(
         "torque.delay",
         "the joint torques",
         delay.delay,
@@ -403,8 +403,8 @@ def _late(estimate: Estimate, problem: Problem) -> Iterator[Diagnostic]:
         direction="lag behind" if delay.z > 0 else "lead",
         delay=1e3 * abs(delay.delay),
     )
-    remedy = f"add '{ROTOR.kind}' to identification.terms" if rotors else told.remedy
-    yield replace(told, remedy=remedy)
+    remedy = f"add '{ROTOR.kind}' to identification.terms" if rotors else stated.remedy
+    yield replace(stated, remedy=remedy)
 
 
 def _score(problem: Problem, estimate: Estimate, law: JointLaw) -> float:

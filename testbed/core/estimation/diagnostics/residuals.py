@@ -21,13 +21,6 @@ FALSE_ALARMS = 1e-6
 is small since noise need not be what the model of it says: of poor encoders it grows with the
 robot's inertia."""
 
-FIRST_ORDER = 0.5
-"""Largest offset of an encoder to be named [rad]: noise that wanders imitates larger ones, whose
-columns the parameters nearly make up."""
-
-FILTERED = 1e-5
-"""Part of the largest signal that the filters may leave of a perfect recording."""
-
 NAMED = 3
 """Most causes, and most numbers of a cause, that are named."""
 
@@ -36,9 +29,6 @@ LIKE_TILT = {"crosstalk", "gains", "pose"}
 
 SMALL_CHANCE = 1e-3
 """Probability below which what is found is not taken for chance."""
-
-DRIFT = 0.5
-"""Part of a recording over which the noise of a channel is correlated, and is a drift."""
 
 
 def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
@@ -77,7 +67,9 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 def _too_far(test: TraceTest) -> bool:
     """Whether a wrong zero is so large that it is none: columns of it hold to first order."""
     one = test.alone if test.nuisance == EncoderZeroError.term else None
-    return one is not None and one.unit == "rad" and abs(one.value) > FIRST_ORDER
+    # largest offset of an encoder to be named [rad]: noise that wanders imitates larger ones, whose
+    # columns the parameters nearly make up
+    return one is not None and one.unit == "rad" and abs(one.value) > 0.5
 
 
 def noisy(estimate: Estimate) -> bool:
@@ -87,7 +79,8 @@ def noisy(estimate: Estimate) -> bool:
         estimate: Of either method.
     """
     rms = estimate.normal_equations.rms
-    return bool(np.any(estimate.residual > FILTERED * rms.max(initial=0.0)))
+    # part of the largest signal that the filters may leave of a perfect recording
+    return bool(np.any(estimate.residual > 1e-5 * rms.max(initial=0.0)))
 
 
 def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
@@ -167,7 +160,8 @@ def chance_text(chance: float) -> str:
 
 def _slow(noise: NoiseModel) -> list[bool]:
     """Of each channel, whether it wanders so slowly that its constant rests on nothing."""
-    return [memory > DRIFT * noise.span for memory in noise.memory]
+    # part of a recording over which the noise of a channel is correlated, and is a drift
+    return [memory > 0.5 * noise.span for memory in noise.memory]
 
 
 def _repetition(estimate: Estimate) -> Iterator[Diagnostic]:

@@ -41,14 +41,11 @@ def setup_diagnostics(problem: Problem) -> Iterator[Diagnostic]:
         yield diagnose("plate.common-offset", " and ".join(passing), method="external")
 
 
-BY_MODEL = 2e-3
-"""Part of the model's pedestal by which a tare is not its weight."""
-
-
 def _of_pedestal(problem: Problem) -> Iterator[Diagnostic]:
     """A pedestal whose weight nobody has measured: by the model file, or by a solved mapping."""
     weight = float(np.linalg.norm(pedestal_wrench(problem.tree)[:3]))
-    by_model = abs(np.linalg.norm(problem.tare[:3]) - weight) <= BY_MODEL * weight
+    # part of the model's pedestal by which a tare is not its weight
+    by_model = abs(np.linalg.norm(problem.tare[:3]) - weight) <= 2e-3 * weight
     stated = problem.source.tare is not None and not is_imported(problem.source)
     if weight and by_model and not stated:
         yield diagnose("plate.no-tare", "the tare", weight, method="external")

@@ -18,26 +18,6 @@ LEAST, MOST = 0.77, 1.3
 """Factors between which it is a torque constant that is wrong."""
 
 
-OFF = 0.02
-"""Part by which a factor differs from one without a word."""
-
-
-SURE = 8.0
-"""Sigmas within which it may be noise."""
-
-
-CLEAR = 10.0
-"""Times the unexplained rest of a torque, in power, that must follow the predicted one."""
-
-
-KNOWN = 0.05
-"""Relative error up to which the predicted torque is known well enough."""
-
-
-APART = 1e-3
-"""Part of the predicted torque, in power, that a rotor, friction or an offset cannot replace."""
-
-
 UNITS = {
     1e3: "torques-in-n-mm",
     1e-3: "moments-in-n-mm",
@@ -50,10 +30,6 @@ UNITS = {
     180 / np.pi: "degrees",
 }
 """What a factor may mean: codes of causes."""
-
-
-ALIKE = 0.15
-"""Relative difference up to which factors are the same."""
 
 
 class TorqueFactor(NamedTuple):
@@ -91,14 +67,16 @@ def cross_check(external: Estimate, internal: Estimate) -> Iterator[Diagnostic]:
             continue
         value, sigma = factor
         if not LEAST < value < MOST:
+            # relative difference up to which factors are the same
             units = [
                 cause
                 for unit, cause in UNITS.items()
-                if abs(abs(value) / unit - 1) < ALIKE
+                if abs(abs(value) / unit - 1) < 0.15
             ]
             causes = ["sign"] * (value < 0) + [*units, "motor-side", "exchanged"]
             yield diagnose("torque.scale", subject, value, sigma=sigma, causes=causes)
-        elif not external.doubtful and abs(value - 1) > max(OFF, SURE * sigma):
+        # by so much it differs from one without a word, and by as many sigmas it may be noise
+        elif not external.doubtful and abs(value - 1) > max(0.02, 8.0 * sigma):
             yield diagnose(
                 "torque.constant",
                 subject,
@@ -158,12 +136,15 @@ def torque_factor(
     # what friction does not explain, of the predicted and of the reported torque
     beside = np.array([[size, both], [both, square]]) - across.T @ shared
     (alone, both), (_, residual) = beside.tolist()
-    if alone <= APART * size:
+    # part of the predicted torque, in power, that a rotor, friction or an offset cannot replace
+    if alone <= 1e-3 * size:
         return None
     factor = both / alone
     residual -= factor**2 * alone
     error = float(np.sum(normal[:count, :count] * spread))
-    if factor**2 * alone <= CLEAR * residual or error >= KNOWN**2 * alone:
+    # in power, ten times the unexplained rest of a torque must follow the predicted one, which is
+    # known well enough up to this relative error
+    if factor**2 * alone <= 10.0 * residual or error >= 0.05**2 * alone:
         return None
     rows = max(float(internal.normal_equations.used[joint]), 1.0)
     return TorqueFactor(

@@ -64,9 +64,6 @@ from testbed.core.estimation.regression.normal_equations import (
 from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.windows import Plan
 
-IMITATED = 1e-8
-"""Share of a constant's square that the parameters leave of it if they cannot imitate it."""
-
 
 def constants(products: LaggedProducts) -> tuple[Array, Array]:
     """Constants of the channels that can be distinguished from the parameters.
@@ -84,12 +81,9 @@ def constants(products: LaggedProducts) -> tuple[Array, Array]:
     imitating = scaled_solve(squares[:, :m, :m].sum(axis=0), mixed)
     rest = np.diag(counts) - mixed.T @ imitating
     spread, axes = eigh((rest + rest.T) / 2)
-    identifiable = spread > IMITATED * max(counts.max(initial=0.0), 1.0)
+    # share of a constant's square that the parameters leave of it if they cannot imitate it
+    identifiable = spread > 1e-8 * max(counts.max(initial=0.0), 1.0)
     return axes[:, identifiable], (imitating @ axes[:, ~identifiable]).T
-
-
-FEWEST_ROWS = 50
-"""Rows below which constants are not looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +142,8 @@ def averaged_fit(
     )
     if whole:
         directions, imitating = constants(products)
-    if not whole or products.rows < FEWEST_ROWS or not directions.shape[1]:
+    # rows below which constants are not looked for
+    if not whole or products.rows < 50 or not directions.shape[1]:
         return AveragedFit(alone, fits, none, imitating, correction)
     (beside,) = whitened_fits(products.with_constants(directions))
     if noise is not None:
@@ -187,13 +182,6 @@ def averaged(alone: NoiseFit, beside: NoiseFit, weight: float) -> NoiseFit:
         + weight * (1 - weight) * np.outer(apart, apart),
         inverse=mixed(alone.inverse, beside.inverse),
     )
-
-
-ROUNDING = 1e-9
-"""Part of a channel in a constant that is none but for rounding."""
-
-LARGE = 0.1
-"""An unknown with a larger part than this in a combination is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +253,8 @@ class GlsSolution:
     def constants(self) -> Array:
         """Directions of the constants in the channels as measured, (C, k) [N, N m]."""
         measured = self.average.directions / self.units.root[:, None]
-        small = np.abs(measured) < ROUNDING * np.abs(measured).max(initial=0.0)
+        # part of a channel in a constant that is none but for rounding
+        small = np.abs(measured) < 1e-9 * np.abs(measured).max(initial=0.0)
         return np.where(small, 0.0, measured)
 
     @cached_property
@@ -353,11 +342,10 @@ def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
     """
     units, average, p = solution.units, solution.average, len(names)
     columns = TestedColumns(solution.count + units.beside.trends, units.beside.tested)
-    free, robot = units.as_free(solution.products.every), units.basis[:p]
+    robot = units.basis[:p]
     residuals = ResidualSums(np.any(solution.constants, axis=1))
-    replicas = Bootstrap(
-        average.fit.noise, free, average.directions, robot[robot.any(axis=1)]
-    )
+    known = robot[robot.any(axis=1)]
+    replicas = Bootstrap(average.fit.noise, average.directions, known)
     quantization = QuantizationSums(average.fit, solution.count)
     tests = ScoreTests(units.as_free(solution.products.tested), columns, robot)
     repetition = _repetition_sums(solution.passes, average.fit.noise)
@@ -484,7 +472,8 @@ def _named(which: Iterable[bool], names: tuple[str, ...]) -> tuple[str, ...]:
 def _large(part: Array) -> NDArray[np.bool_]:
     """Unknowns with a large part in one of k combinations, (k, p + s)."""
     size = np.abs(part)
-    large = size > LARGE * size.max(axis=1, keepdims=True, initial=0.0)
+    # an unknown with a larger part than this in a combination is named
+    large = size > 0.1 * size.max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(large.any(axis=0))
 
 

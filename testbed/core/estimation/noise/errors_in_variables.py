@@ -17,23 +17,11 @@ from testbed.core.estimation.regression.windows import Plan
 from testbed.core.kernel.numpy_engine import motion_of
 from testbed.core.kernel.records import Signals
 
-HELD = 1024
-"""Samples after which zeros of encoders that change do so."""
-
 COUNTS_SEED = 1948
 """Of the zeros: the same recording gives the same estimate."""
 
-PER_ROW = 5
-"""Samples of made noise from row to row, at least: slow noise, behind the filter on rows."""
-
-REPLICAS = 24
-"""Replicas of errors of whole counts: the spread of what they do is found to 15 %."""
-
 BLOCK = 1024
 """Samples of made noise that are drawn at once, from a seed of their own."""
-
-SEED = 1997
-"""Of the made noise: the same recording gives the same estimate."""
 
 
 class PositionNoise:
@@ -71,7 +59,8 @@ class PositionNoise:
             noise = self.white(first, signals.number)
             if len(self._coarse):
                 smooth, begin = self._smooth(signals), first * self._plan.step
-                blocks = np.arange(begin, begin + len(smooth)) // HELD
+                # samples after which zeros of encoders that change do so
+                blocks = np.arange(begin, begin + len(smooth)) // 1024
                 zeros = [
                     self._zeros(COUNTS_SEED, k)
                     for k in range(blocks[0], blocks[-1] + 1)
@@ -96,7 +85,8 @@ class PositionNoise:
         def columns(signals: Signals, first: int) -> Array:
             del first
             motion, smooth = at_rows(signals), self._smooth(signals)
-            zeros = (self._zeros(COUNTS_SEED + 1, k) for k in range(REPLICAS))
+            # replicas of errors of whole counts: the spread of what they do is found to 15 %
+            zeros = (self._zeros(COUNTS_SEED + 1, k) for k in range(24))
             each = (self._rounded(smooth, zero) for zero in zeros)
             return np.concatenate(
                 [changed(self._plan, motion, error, basis) for error in each], axis=2
@@ -112,16 +102,18 @@ class PositionNoise:
             count: How many rows.
         """
         step, middle = self._plan.step, self._kernels.shape[1] // 2
-        strides = range(1, step // PER_ROW + 1)
+        # samples of made noise from row to row, at least: slow noise, behind the filter on rows
+        strides = range(1, step // 5 + 1)
         stride = max((d for d in strides if step % d == 0), default=1)
         kernels = self._kernels[:, middle % stride :: stride].T * np.sqrt(stride)
         begin, end = (
             first * step // stride,
             (first + count - 1) * step // stride + len(kernels),
         )
+        # of the made noise: the same recording gives the same estimate
         white = np.concatenate(
             [
-                np.random.default_rng([SEED, block]).normal(
+                np.random.default_rng([1997, block]).normal(
                     size=(BLOCK, len(self._sigma))
                 )
                 for block in range(begin // BLOCK, -(-end // BLOCK))
@@ -191,9 +183,6 @@ MOST = 0.5
 NAMED = 0.25
 """Part of what identifies a parameter that may be noise: corrected, how well is not in sigma."""
 
-ALL = 0.999
-"""Part of what identifies an unknown that noise is at most: all of it would leave no sigma."""
-
 
 @dataclass(frozen=True, eq=False)
 class AttenuationCorrection:
@@ -216,7 +205,8 @@ class AttenuationCorrection:
             basis: Parameters from the unknowns, (p, m).
         """
         parts = (basis @ self.directions) ** 2
-        rest = 1 - np.clip(self.share, 0.0, ALL)
+        # part of what identifies an unknown that noise is at most: all of it would leave no sigma
+        rest = 1 - np.clip(self.share, 0.0, 0.999)
         return np.asarray(parts.sum(axis=1) < (1 - NAMED) * (parts / rest).sum(axis=1))
 
 

@@ -37,23 +37,8 @@ from testbed.core.estimation.noise.lagged_products import (
 )
 from testbed.core.estimation.regression.normal_equations import inverse_and_solution
 
-ROUNDS = 4
-"""Times that noise and unknowns are found in turns: what is left to go is 1 % of sigma."""
-
-REWEIGHTINGS = 3
-"""Times that the channels' weights are found anew from the residuals."""
-
-ENOUGH = 2
-"""Times as many rows as unknowns, of all channels together, that whitening has to leave."""
-
-ROWS_PER_ORDER = 10
-"""Rows that a coefficient of the noise has to be found from."""
-
 LEAST = 1e-4
 """Least noise of a channel, in the units that rows come in: channels without noise are possible."""
-
-LEAST_SHARE = 0.1
-"""Of the variance that independent rows would give: sums over few lags can fall below zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +107,8 @@ def whitened_fits(
         )[0]
         order = highest and best_order(residuals, given.after(highest), highest)
     given = up_to(order)
-    for _ in range(ROUNDS if order else 1):
+    # times that noise and unknowns are found in turns: what is left to go is 1 % of sigma
+    for _ in range(4 if order else 1):
         coefficients = fit(_moments(given, weighted, order), order)
         weighted = _weighted(
             given, given.after(order), coefficients, weighted if quick else None
@@ -155,7 +141,8 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     middle = given.sums(weights)
     fits = []
     for r, inverse in enumerate(weighted.inverse):
-        inner = _at_least(LEAST_SHARE, least[r, :m, :m], middle[r, :m, :m])
+        # of the variance that independent rows would give: sums over few lags can fall below zero
+        inner = _at_least(0.1, least[r, :m, :m], middle[r, :m, :m])
         noise = _from_covariances(
             covariances[r], given.lags if order is None else order
         )
@@ -170,10 +157,10 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
 
 def _highest(given: LaggedProducts, unknowns: int) -> int:
     """Largest order that leaves rows enough for the unknowns, and for itself."""
-    needed = ENOUGH * unknowns // int(given.products.shape[1]) + 1
-    return max(
-        0, min(HIGHEST, given.lags, given.rows // ROWS_PER_ORDER, given.rows - needed)
-    )
+    # times as many rows as unknowns, of all channels together, that whitening has to leave
+    needed = 2 * unknowns // int(given.products.shape[1]) + 1
+    # rows that a coefficient of the noise has to be found from
+    return max(0, min(HIGHEST, given.lags, given.rows // 10, given.rows - needed))
 
 
 def _at_least(share: float, least: Array, matrix: Array) -> Array:
@@ -227,7 +214,8 @@ def _weighted(
         values, taken = before.values, before.taken
     inverses = np.zeros((trials, *given.products.shape[2:]))
     spread = _spread(white.squares(_of_residuals(given, values)), free - taken)
-    for _ in range(REWEIGHTINGS if before is None else 1):
+    # times that the channels' weights are found anew from the residuals
+    for _ in range(3 if before is None else 1):
         inverses[:, :m, :m], values = _solutions(white.sums(spread**-2.0), m)
         taken = white.traces(inverses) / spread**2
         spread = _spread(white.squares(_of_residuals(given, values)), free - taken)

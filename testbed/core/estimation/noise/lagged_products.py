@@ -21,12 +21,6 @@ HIGHEST = 6
 LARGEST_ROOT = 0.998
 """A fit may find noise that grows without end; it is held to one that forgets."""
 
-RIDGE = 1e-12
-"""Of the mean square: noise that repeats itself exactly has many autoregressions."""
-
-BURN_IN = 200
-"""Rows simulated before the first that counts."""
-
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
@@ -64,8 +58,9 @@ def fit(moments: Array, order: int) -> Array:
         moments[..., 1 : order + 1, :1],
     )
     size = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] / max(order, 1)
+    # of the mean square: noise that repeats itself exactly has many autoregressions
     return _forgetting(
-        np.linalg.solve(matrix + (RIDGE * size + TINY) * np.eye(order), right)[..., 0]
+        np.linalg.solve(matrix + (1e-12 * size + TINY) * np.eye(order), right)[..., 0]
     )
 
 
@@ -134,7 +129,8 @@ class NoiseMaker:
         """
         self._noise, self._rng = noise, rng
         self._recent = np.zeros((len(noise.sigma), noise.order, replicas))
-        self.rows(BURN_IN)
+        # rows simulated before the first that counts
+        self.rows(200)
 
     def rows(self, count: int) -> Array:
         """The next rows, (C, count, replicas)."""
@@ -165,7 +161,6 @@ class LaggedProducts:
         first: The first K rows of each sequence, (S, C, K, q); zeros where there are fewer.
         last: The last K, in the order of time, (S, C, K, q); zeros before the first.
         responses: R.
-        alike: Whether each lag's products are symmetric.
     """
 
     rows: int
@@ -173,7 +168,6 @@ class LaggedProducts:
     first: Array
     last: Array
     responses: int = 1
-    alike: bool = False
 
     @property
     def lags(self) -> int:
@@ -250,7 +244,7 @@ class LaggedProducts:
         """
         total = weights.swapaxes(1, 2).reshape(len(weights), -1) @ self.flat
         total = total.reshape(-1, *self.products.shape[2:])
-        return total if self.alike else (total + total.swapaxes(1, 2)) / 2
+        return np.asarray(total + total.swapaxes(1, 2)) / 2
 
     def traces(self, inner: Array) -> Array:
         """Traces of each lag's times a matrix, (R, C, K + 1).
@@ -333,7 +327,7 @@ class Whitened:
         self._given, self._share, self._edges = given, share, _edges(given, alpha)
         if len(alpha) == 1:  # then once and for all
             whole = self.sums(np.eye(alpha.shape[1]))
-            self._given = replace(given.up_to(0), products=whole[None], alike=True)
+            self._given = replace(given.up_to(0), products=whole[None])
             self._share, self._edges = (
                 np.ones((1, len(whole), 1)),
                 self._edges[..., :0, :],

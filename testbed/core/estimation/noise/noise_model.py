@@ -20,15 +20,6 @@ from testbed.core.estimation.regression.normal_equations import scaled_solve
 ALIKE = 1e-3
 """Mean square of the difference to one period before, relative to that of far instants."""
 
-UNLIKE = 0.3
-"""The same where a motion has left where it was: a period is more than standing still."""
-
-AT_REST = 1e-2
-"""Part of the largest joint's spread below which a joint shows little but noise."""
-
-FEWEST_SAMPLES = 4
-"""Samples in which nothing repeats."""
-
 
 def period_of(position: Array) -> int | None:
     """The shortest time after which a motion repeats, in samples; None if it does not.
@@ -38,15 +29,18 @@ def period_of(position: Array) -> int | None:
     Args:
         position: Encoders at evenly spaced times, (m, n) [rad or m].
     """
-    if len(position) < FEWEST_SAMPLES:
+    # samples in which nothing repeats
+    if len(position) < 4:
         return None
     spread = position.std(axis=0)
-    moving = position[:, spread > AT_REST * spread.max(initial=0.0)]
+    # part of the largest joint's spread below which a joint shows little but noise
+    moving = position[:, spread > 1e-2 * spread.max(initial=0.0)]
     if not moving.shape[1]:
         return None
     unit = (moving - moving.mean(axis=0)) / moving.std(axis=0)
     apart = _differences(unit)
-    departed = np.flatnonzero(apart > UNLIKE)
+    # where a motion has left its first pose: a period is more than standing still
+    departed = np.flatnonzero(apart > 0.3)
     if not len(departed):
         return None
     near = np.flatnonzero(apart[departed[0] :] < ALIKE) + departed[0]
@@ -70,10 +64,6 @@ def _differences(unit: Array) -> Array:
     return np.asarray(
         (later + earlier - 2 * products) / (2 * channels * (count - lags))
     )
-
-
-FEWEST_PAIRS = 30
-"""Pairs of rows that the test needs: the sum of their products is then about normal."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +126,8 @@ class PeriodicSums:
         products, *powers = self._sums
         size = np.sqrt(powers[0] * powers[1])
         some = size > 0
-        if self._pairs < FEWEST_PAIRS or not some.any():
+        # pairs of rows that the test needs: the sum of their products is then about normal
+        if self._pairs < 30 or not some.any():
             return None
         share = products / np.where(some, size, 1.0)
         score = share[some] * np.sqrt(self._pairs)
@@ -145,10 +136,6 @@ class PeriodicSums:
         # two looks, and so many channels
         chance = min(1.0, 2 * float(min(together, alone)))
         return PeriodicResidual(self._period, tuple(float(x) for x in share), chance)
-
-
-ROUNDS = 3
-"""Times that the delay and the noise beside it are found in turns."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +189,8 @@ def lateness(
     slope = ((one.swapaxes(1, 2) - one) @ maps[..., :1])[..., 0] * rate / 2
     squares = slopes[len(slopes) // 2]
     late = TimeDelay(0.0, 0.0)
-    for _ in range(ROUNDS):  # residuals without the delay are noise
+    # times that the delay and the noise beside it are found in turns
+    for _ in range(3):  # residuals without the delay are noise
         rest = (
             apart[2:-2, :, 1, 1]
             + late.delay * (across + across[::-1])
@@ -243,10 +231,6 @@ def _fitted(
     return TimeDelay(
         -float(weights @ slope @ residual) / alone, 1 / float(np.sqrt(alone))
     )
-
-
-COARSE = 0.05
-"""Part of the whitened residuals that steps of the encoders may be without a word."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,4 +274,5 @@ class NoiseModel:
     @property
     def steps_matter(self) -> bool:
         """Whether steps of the encoders are much of what the model leaves."""
-        return self.by_counts > COARSE
+        # part of the whitened residuals that steps of the encoders may be without a word
+        return self.by_counts > 0.05

@@ -5,6 +5,8 @@ Source    [ET93] for the bootstrap
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from testbed.core.base.arrays import Array
@@ -27,29 +29,17 @@ SEED = 1996
 
 
 class Replicas:
-    """Products of rows with replicas of their noise.
+    """Products of rows with replicas of their noise in the residuals' place."""
 
-    Of columns with columns they are known from the residuals' own products.
-    """
-
-    def __init__(
-        self, noise: Autoregression, known: LaggedProducts, seed: int = SEED
-    ) -> None:
+    def __init__(self, noise: Autoregression, seed: int = SEED) -> None:
         """Nothing yet.
 
         Args:
             noise: What is to be made.
-            known: Products of the rows' columns, residuals and ones.
             seed: Of the replicas.
         """
-        self._order = noise.order
-        columns = known.unknowns
-        self._known = known.up_to(noise.order)
         self._maker = NoiseMaker(noise, REPLICAS, np.random.default_rng(seed))
-        self._noise = LaggedSums(noise.order)
-        lags, channels = self._known.products.shape[:2]
-        self._across = np.zeros((lags, channels, columns + 1, REPLICAS))
-        self._before: Array | None = None
+        self._sums = LaggedSums(noise.order)
 
     def add(self, columns: Array, ones: Array) -> None:
         """Go on with consecutive rows.
@@ -58,44 +48,18 @@ class Replicas:
             columns: Of the unknowns, (C, rows, m).
             ones: Where a row counts, (C, rows).
         """
-        noise = self._maker.rows(columns.shape[1]) * ones[..., None]
-        self._noise.add(noise)
-        now = np.concatenate([columns, ones[..., None], noise], axis=2)
-        lags, rows = len(self._across) - 1, columns.shape[1]
-        if self._before is None:
-            self._before = np.zeros((len(ones), lags, now.shape[2]))
-        run = np.concatenate([self._before, now], axis=1)
-        known, made = run[..., :-REPLICAS].swapaxes(1, 2), run[..., -REPLICAS:]
-        # a lag's products with their transpose
-        for lag, across in enumerate(self._across):
-            late, early = slice(lags, lags + rows), slice(lags - lag, lags - lag + rows)
-            across += (
-                known[..., late] @ made[:, early] + known[..., early] @ made[:, late]
-            ) / 2
-        self._before = run[:, rows:]
+        counts = ones[..., None]
+        noise = self._maker.rows(columns.shape[1]) * counts
+        self._sums.add(np.concatenate([columns, noise, counts], axis=2))
 
     def pause(self) -> None:
         """What comes next does not follow what came last."""
-        self._noise.pause()
-        self._before = None
+        self._sums.pause()
 
     @property
     def products(self) -> LaggedProducts:
-        """Products with the replicas in the residuals' place, symmetric those of a lag, too."""
-        made, m, across = self._noise.finish(), self._known.unknowns, self._across
-        known = self._known.columns(np.r_[:m, m + 1])  # columns and ones
-        products = [
-            [_symmetric(known.products), across],
-            [across.swapaxes(2, 3), _symmetric(made.products)],
-        ]
-        first, last = (
-            np.concatenate(ends, axis=3)
-            for ends in ((known.first, made.first), (known.last, made.last))
-        )
-        whole = LaggedProducts(
-            made.rows, np.block(products), first, last, REPLICAS, alike=True
-        )
-        return whole.columns(np.r_[:m, m + 1 : m + 1 + REPLICAS, m])
+        """Products of columns, replicas and ones."""
+        return replace(self._sums.finish(), responses=REPLICAS)
 
     def squares(
         self, fits: Fits, basis: Array, directions: Array | None = None
@@ -110,12 +74,7 @@ class Replicas:
         products = self.products
         if directions is not None:
             products = products.with_constants(directions)
-        return np.array([_squares(fit, basis) for fit in fits(products, self._order)])
-
-
-def _symmetric(products: Array) -> Array:
-    """Half of a lag's products and of their transpose."""
-    return (products + products.swapaxes(2, 3)) / 2
+        return np.array([_squares(fit, basis) for fit in fits(products, products.lags)])
 
 
 def _squares(fit: NoiseFit, basis: Array) -> Array:
@@ -130,7 +89,6 @@ class Bootstrap:
     def __init__(
         self,
         noise: Autoregression,
-        products: LaggedProducts,
         directions: Array,
         basis: Array,
     ) -> None:
@@ -138,12 +96,11 @@ class Bootstrap:
 
         Args:
             noise: Of the residuals.
-            products: Of the rows' columns, residuals and ones.
             directions: Combinations of the channels that are constants, (C, k).
             basis: Parameters from the rows' unknowns, (p, m).
         """
         self._directions, self._basis = directions, basis
-        self._replicas = Replicas(noise, products)
+        self._replicas = Replicas(noise)
 
     def add(self, rows: WhitenedRows) -> None:
         """Go on with consecutive rows."""

@@ -9,9 +9,6 @@ from testbed.core.base.arrays import Array
 WINDOW = 0.5
 """Longest time over which residuals are taken to be correlated [s]."""
 
-BINS = 6
-"""Least number of bins in a window."""
-
 
 def bin_size(rate: float) -> int:
     """Rows whose scores are added up at once: a power of two up to 64.
@@ -20,7 +17,8 @@ def bin_size(rate: float) -> int:
         rate: Rows a second [Hz].
     """
     size = 1
-    while size < 64 and 2 * size * BINS <= WINDOW * rate:
+    # least number of bins in a window
+    while size < 64 and 2 * size * 6 <= WINDOW * rate:
         size *= 2
     return size
 

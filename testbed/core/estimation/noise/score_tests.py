@@ -34,12 +34,6 @@ from testbed.core.estimation.regression.normal_equations import TINY
 IMITATED = 1e-9
 """Share of a column's square that others leave of it if they imitate it."""
 
-FREE = 2
-"""Times as many rows, of all channels, as columns that the tests need."""
-
-UNCLEAR = 1e-3
-"""Chance by the F test above which it is not held against made noise, which raises it only."""
-
 PRIOR = 24.0
 """Weight of the mean over all kinds in each one's calibration, in degrees of freedom."""
 
@@ -108,7 +102,8 @@ class TestedColumns:
     def testable(self, products: LaggedProducts) -> bool:
         """Whether there are kinds to test, and rows enough."""
         channels = products.products.shape[1]
-        least = FREE * (self.base + sum(self.kinds) + channels)
+        # times as many rows, of all channels, as columns that the tests need
+        least = 2 * (self.base + sum(self.kinds) + channels)
         return bool(self.kinds) and bool(products.rows * channels > least)
 
 
@@ -280,8 +275,10 @@ class ScoreTests:
             self._independent = independent_columns(whole, columns)
             ((self._tests, noise),) = score_tests(whole, self._independent, columns)
             self._order = noise.order
-            if any(test.chance(1.0) < UNCLEAR for test in self._tests):
-                self._replicas = Replicas(noise, products)
+            # chance by the F test above which it is not held against made noise, which raises it
+            # only
+            if any(test.chance(1.0) < 1e-3 for test in self._tests):
+                self._replicas = Replicas(noise)
 
     def add(self, rows: WhitenedRows) -> None:
         """Go on with consecutive rows."""

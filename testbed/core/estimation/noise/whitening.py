@@ -28,9 +28,6 @@ from testbed.core.estimation.regression.normal_equations import square_root
 from testbed.core.estimation.regression.passes import Columns, Passes
 from testbed.core.kernel.layout import Layout
 
-ROUNDING = 1e-12
-"""Part of its size that is left of an unknown which is known, by rounding."""
-
 
 @dataclass(frozen=True, eq=False)
 class NuisanceColumns:
@@ -132,7 +129,8 @@ class Whitening:
             return self.grown
         expanded = self.grown @ self.free.lead
         size = np.abs(self.grown).max(axis=1, keepdims=True)
-        return np.where(np.abs(expanded) > ROUNDING * size, expanded, 0.0)
+        # part of its size that is left of an unknown which is known, by rounding
+        return np.where(np.abs(expanded) > 1e-12 * size, expanded, 0.0)
 
     @property
     def fixed(self) -> Array:

@@ -20,9 +20,6 @@ CENTRE = "centre/"
 """Of their mass, along an axis of the bedplate's frame [m]: centre/x with all joints at zero,
 centre/x@elbow=1.57 with one of them elsewhere."""
 
-IN_SPACE = 1e-9
-"""Part of a combination that the minimal parameters cannot say, of one that they can."""
-
 _LOADS = {"x": (2, 4, -1.0), "y": (2, 3, 1.0), "z": (0, 4, 1.0)}
 """By axis: along which one a unit of gravity has to pull, backwards, for the first moment along it
 to be a channel of the wrench, and of which sign: a moment is the first moment x the force."""
@@ -92,7 +89,8 @@ def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
     """A functional on the barycentric parameters as one on the minimal ones, (N,)."""
     wanted = np.where(minimal.known_zero.ravel(), 0.0, wanted)
     form = wanted @ minimal.lift
-    if np.abs(form @ minimal.matrix - wanted).max() > IN_SPACE * np.abs(wanted).max(
+    # part of a combination that the minimal parameters cannot say, of one that they can
+    if np.abs(form @ minimal.matrix - wanted).max() > 1e-9 * np.abs(wanted).max(
         initial=1.0
     ):
         raise SettingsError(
@@ -105,10 +103,6 @@ def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
             )
         )
     return form
-
-
-INDEPENDENT = 1e-9
-"""Part of a fact that the others do not say."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +223,8 @@ def free(given: LinearConstraints) -> NullSpace:
     pivots: list[int] = []
     for k in range(count):
         at = int(np.abs(rows[k]).argmax())
-        if abs(rows[k, at]) <= INDEPENDENT * np.abs(given.rows[k]).max():
+        # part of a fact that the others do not say
+        if abs(rows[k, at]) <= 1e-9 * np.abs(given.rows[k]).max():
             raise SettingsError(
                 f"'{given.names[k]}' is known twice: it follows from {', '.join(given.names[:k])}"
             )

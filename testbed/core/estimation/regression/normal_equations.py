@@ -23,10 +23,6 @@ ROUNDING = 1e-15
 TINY = float(np.finfo(float).tiny)
 """Least positive number: against division by zero."""
 
-CLEAR = 1e-6
-"""Part of its length, squared, that every unknown has for itself beside those before it: then
-Cholesky's factors serve, which are several times faster than eigenvalues."""
-
 
 def scaled_solve(matrix: Array, right: Array) -> Array:
     """The solution of matrix x = right.
@@ -111,7 +107,9 @@ def _clear_factor(matrix: Array) -> Array | None:
     """Cholesky's factor, whose rounding does not depend on units; None if it is not clear."""
     factor, failed = linalg.lapack.dpotrf(matrix.T, lower=True, clean=True)
     own = factor.diagonal() ** 2
-    return None if failed or (own <= CLEAR * matrix.diagonal()).any() else factor
+    # part of its length, squared, that every unknown has for itself beside those before it: then
+    # Cholesky's factors serve, which are several times faster than eigenvalues
+    return None if failed or (own <= 1e-6 * matrix.diagonal()).any() else factor
 
 
 def _inverse_root(matrix: Array) -> Array:

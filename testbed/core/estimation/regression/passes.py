@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.stages import Progress
 from testbed.core.estimation.regression.windows import Plan, Window
 from testbed.core.kernel import numpy_engine
 from testbed.core.kernel.records import Block, Signals, Sums, sensed
@@ -37,19 +38,6 @@ HELD = 0.1
 
 STRETCH = 256
 """Samples whose noise is averaged; of such means, the middle one counts: spikes are no noise."""
-
-
-FEWEST = 16
-"""Small changes of a position by which its least count is known."""
-
-CLOSE = 0.1
-"""Part of a count by which differences may be no whole counts: what rounding makes of them."""
-
-WHOLE = 0.95
-"""Part of the smallest differences that are whole counts, if a position is in counts."""
-
-BETWEEN = 0.4
-"""Counts of noise that blur the counts: of rounding alone there are 0.29 at most."""
 
 
 class Repeats(NamedTuple):
@@ -175,21 +163,22 @@ def _least_count(position: Array) -> float:
     least = changes.min(initial=np.inf, where=changes > 0)
     few = changes[changes < 4.5 * least]
     few = few[few > 0]
-    if len(few) < FEWEST:
+    # small changes of a position by which its least count is known
+    if len(few) < 16:
         return float("nan")
     count = float(few[few < 1.5 * least].mean())
-    whole = np.abs(few / count - np.round(few / count)) < CLOSE
-    return count if whole.mean() >= WHOLE else 0.0
+    # part of a count by which differences may be no whole counts: what rounding makes of them
+    whole = np.abs(few / count - np.round(few / count)) < 0.1
+    # part of the smallest differences that are whole counts, if a position is in counts
+    return count if whole.mean() >= 0.95 else 0.0
 
 
 def _without_noise(counts: Array, noise: Array) -> Array:
     """Least counts of all windows, (windows, n), where noise, (n,), does not blur them."""
     least = np.nanmedian(np.where(np.isnan(counts).all(axis=0), 0.0, counts), axis=0)
-    return np.where(noise < BETWEEN * least, least, 0.0)
+    # counts of noise that blur the counts: of rounding alone there are 0.29 at most
+    return np.where(noise < 0.4 * least, least, 0.0)
 
-
-Progress = Callable[[int, int], None]
-"""Called with samples done and samples in all."""
 
 Columns = Callable[[Signals, int], Array]
 """Columns of a window's rows, (C, rows, s), of its signals and the number of its first row."""
@@ -202,9 +191,6 @@ few commands make rows once. Both methods do, filters that are tried, coarse enc
 
 PER_SAMPLE, PER_NUMBER = 4e-6, 6e-9
 """Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
-
-KEPT = 100e6
-"""Bytes of rows that are kept from the first pass to the next: the first ones."""
 
 
 def is_compiled(plan: Plan) -> bool:
@@ -267,7 +253,8 @@ class Passes:
         self._kept: dict[int, list[Block]] = {}
         # else made again as fast as read
         thinned = not self.compiled or len(plan.weights) > 1
-        self._rows_kept = KEPT // (plan.layout.rows.slots * 8) if thinned else 0
+        # bytes of rows that are kept from the first pass to the next: the first ones
+        self._rows_kept = 100e6 // (plan.layout.rows.slots * 8) if thinned else 0
 
     def sums(self) -> Iterator[Sums]:
         """Products of all windows, in order; what was read is checked."""

@@ -19,9 +19,6 @@ from testbed.core.estimation.regression.normal_equations import (
     unit_diagonal,
 )
 
-REWEIGHTINGS = 4
-"""Times that the channels' noise is estimated anew from the residuals."""
-
 PRECISION = 1e-7
 """Least noise of a channel relative to its measurement: what sums of products can resolve."""
 
@@ -36,7 +33,8 @@ def noise_weights(equations: NormalEquations) -> Array:
     floor = np.maximum(PRECISION * rms, PRECISION**2 * (rms.max() or 1.0))
     share = len(equations.unknowns) / len(rms)
     free, weights = np.maximum(equations.used - share, 1.0), np.ones(len(rms))
-    for _ in range(REWEIGHTINGS):
+    # times that the channels' noise is estimated anew from the residuals
+    for _ in range(4):
         values = minimum_norm(equations.matrix(weights), equations.vector(weights))
         squares = equations.residual(values)
         weights = 1 / np.maximum(squares / free, floor**2)
@@ -57,9 +55,6 @@ def minimum_norm(matrix: Array, vector: Array) -> Array:
 Rows = Callable[[Array], Iterator[tuple[Array, Array]]]
 """Starts a pass over all rows, with columns combined by a matrix, (p, q): blocks of combined
 columns, (C, k, q), and of measurements, (C, k)."""
-
-NAMED = 0.1
-"""Part in a direction that the data miss beyond which an unknown is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +77,8 @@ class Fit:
 def refuse(names: Sequence[str], directions: Array, rows: int) -> NoReturn:
     """Raise with the names of the unknowns that have a part in directions, (k, p), unseen."""
     parts = abs(directions).max(axis=0)
-    unseen = [name for name, part in zip(names, parts, strict=True) if part > NAMED]
+    # part in a direction that the data miss beyond which an unknown is named
+    unseen = [name for name, part in zip(names, parts, strict=True) if part > 0.1]
     raise UnseenParameters(unseen, len(names) - len(directions), len(names), rows)
 
 
@@ -116,10 +112,6 @@ def by_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
     return Fit(values, inverse, weights, float(np.sqrt(spread[-1] / spread[0])))
 
 
-RANK_TOLERANCE = 1e-10
-"""Singular values of the scaled equations below this share of the largest count as zero."""
-
-
 def by_orthogonal_columns(
     equations: NormalEquations, weights: Array, rows: Rows
 ) -> Fit:
@@ -143,17 +135,14 @@ def by_orthogonal_columns(
             np.vstack([triangle, white]), mode="r", check_finite=False
         )
     _, spread, directions = np.linalg.svd(triangle[:p, :p])
-    lost = spread <= RANK_TOLERANCE * spread[0]
+    # singular values of the scaled equations below this share of the largest count as zero
+    lost = spread <= 1e-10 * spread[0]
     if lost.any():
         refuse(equations.unknowns, directions[lost], equations.rows)
     root = linalg.inv(triangle[:p, :p]) / scale[:, None]
     return Fit(
         root @ triangle[:p, p], root @ root.T, weights, float(spread[0] / spread[-1])
     )
-
-
-SQUARED = 1e4
-"""Condition up to which normal equations are as good as a QR of all rows."""
 
 
 def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
@@ -170,7 +159,8 @@ def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
     # to the precision of sums; the rows may know better
     with suppress(UnseenParameters):
         solution = by_normal_equations(equations, weights)
-        if solution.condition <= SQUARED and not np.isnan(solution.values).any():
+        # condition up to which normal equations are as good as a QR of all rows
+        if solution.condition <= 1e4 and not np.isnan(solution.values).any():
             return solution
     return by_orthogonal_columns(equations, weights, rows)
 

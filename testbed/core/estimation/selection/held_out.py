@@ -12,20 +12,22 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.errors import round_significant
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.estimation.selection.folds import CrossValidation
-from testbed.core.robot.friction import COULOMB, OFFSET, STRIBECK, VISCOUS, stribeck
+from testbed.core.robot.friction import (
+    COULOMB,
+    FURTHER,
+    OFFSET,
+    STRIBECK,
+    VISCOUS,
+    stribeck,
+)
 from testbed.core.robot.joint_law import JointLaw
-from testbed.core.robot.laws.asymmetric import ASYMMETRIC
-from testbed.core.robot.laws.quadratic import QUADRATIC
-from testbed.core.robot.laws.square_root import SQUARE_ROOT
 
 ALWAYS = (COULOMB, VISCOUS)
 """What every joint has."""
 
 OFFERED = (
     OFFSET,
-    ASYMMETRIC,
-    QUADRATIC,
-    SQUARE_ROOT,
+    *FURTHER,
     # friction that fades out between these speeds [rad/s or m/s]
     *(stribeck(round_significant(speed, 2)) for speed in np.geomspace(0.02, 1.0, 14)),
 )

@@ -10,12 +10,6 @@ from testbed.core.kernel.numpy_engine import motion_of
 from testbed.core.kernel.records import Signals
 from testbed.sensors.predicted_wrench import PredictedWrench, RowFilter
 
-INSTANTS_PER_CUTOFF = 10.0
-"""Instants a second at which wrenches are predicted, per Hz of the filter on rows, at least.
-
-So few fold the accelerations' noise into the columns: it is then another than that of the rows,
-and a test does not take what both have in common for a fault."""
-
 
 def row_filter(
     plan: Plan, cutoff: float, *, exact: bool = False, noisy: float = 0.0
@@ -30,7 +24,10 @@ def row_filter(
     """
     rate, middle = plan.source.rate, len(plan.weights) // 2
     unfolded = bool(noisy) * (1 + TRANSITION / 2) * (noisy + cutoff)
-    least = rate if exact else max(INSTANTS_PER_CUTOFF * cutoff, unfolded)
+    # instants a second at which wrenches are predicted, per Hz of the filter on rows, at least. So
+    # few fold the accelerations' noise into the columns: it is then another than that of the rows,
+    # and a test does not take what both have in common for a fault
+    least = rate if exact else max(10.0 * cutoff, unfolded)
     stride = max(
         d
         for d in range(1, plan.step + 1)

@@ -61,12 +61,6 @@ OWN = 0.1
 """Share of an unknown's effect that has to be its own: below, columns made of noisy encoders are
 no measure of it."""
 
-ROUNDING = 1e-7
-"""Of a nuisance: a correction that is smaller is the last."""
-
-SETTLED = 0.05
-"""Of sigma: a correction that is smaller is the last."""
-
 
 class LinearFit(NamedTuple):
     """The weighted solution of a recording.
@@ -369,6 +363,7 @@ def gauss_newton(
         solution = solve(
             Corrected(source, model.unknowns.by_error(values), plan.layout.tree)
         )
-        if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
+        # a correction that is smaller, beside sigma or the number itself, is the last
+        if np.all(np.abs(step) <= 0.05 * sigma + 1e-7 * np.abs(values)):
             return GaussNewtonResult(solution, values, True, weak)
     return GaussNewtonResult(solution, values, False, weak)

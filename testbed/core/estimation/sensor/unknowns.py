@@ -20,9 +20,6 @@ from testbed.sensors.errors.plate_bias import PlateBias
 from testbed.sensors.predicted_wrench import PredictedWrench, RowFilter
 from testbed.sensors.systematic_error import Coefficient, SystematicError
 
-KEPT = 64e6
-"""Bytes of columns that are kept from one pass to the next."""
-
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
@@ -135,7 +132,8 @@ class Columns:
         counts = [len(each.kept) for each in unknowns]
         numbers = sum(counts[:always]) + part * sum(counts[len(counts[:always]) :])
         self._kept: dict[int, Array] = {}
-        self._keeps = plan.rows * 6 * numbers * 8 < KEPT
+        # bytes of columns that are kept from one pass to the next
+        self._keeps = plan.rows * 6 * numbers * 8 < 64e6
 
     def __call__(self, signals: Signals, first: int) -> Array:
         """Of a window's rows, (6, rows, s); fewer where it is not looked at.
@@ -187,17 +185,6 @@ class Columns:
         return self._unmixing @ columns
 
 
-DEPENDENT = 1e-6
-"""Length, of one, that others leave of a column that they imitate."""
-
-NAMED = 1e-6
-"""Share of a combination, in units of its largest, that is worth a name."""
-
-SHORT = 40
-"""Characters for what imitates a number that is open."""
-
-SEED = 1996
-
 RATE = 50.0
 """Instants a second of the generic motion: the widest stencil below needs no more."""
 
@@ -233,7 +220,7 @@ def identifiable_subset(
     names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
     if not nuisances:
         return wanted, ()
-    count, rng = len(wanted.coefficients), np.random.default_rng(SEED)
+    count, rng = len(wanted.coefficients), np.random.default_rng(1996)
     own, theirs = _generic_columns(
         problem, nuisances, 40 + (len(names) + count) // 2, rng
     )
@@ -279,14 +266,16 @@ def _in_turn(
         rest = column - basis @ (basis.T @ column)
         rest -= basis @ (basis.T @ rest)
         length = float(np.linalg.norm(rest))
-        if length > DEPENDENT:
+        # length, of one, that others leave of a column that they imitate
+        if length > 1e-6:
             basis = np.column_stack([basis, rest / length])
             columns = np.column_stack([columns, column])
             labels.append(others[1][k])
             kept.append(k)
             continue
         share = np.abs(np.linalg.lstsq(columns, column, rcond=None)[0])
-        by = [n for n, s in zip(labels, share, strict=True) if s > NAMED * share.max()]
+        # share of a combination, in units of its largest, that is worth a name
+        by = [n for n, s in zip(labels, share, strict=True) if s > 1e-6 * share.max()]
         nonidentifiable.append(NonIdentifiable(others[1][k], tuple(by)))
     return tuple(kept), tuple(nonidentifiable)
 
@@ -304,8 +293,9 @@ def explain_nonidentifiable(
         nuisances: Kinds that are estimated.
     """
     first, more = open_ones[0], len(open_ones) - 1
+    # characters for what imitates a number that is open
     phrase = (
-        f"{first.name} from {few(first.by, SHORT)}{f', nor {more} others' * (more > 0)}"
+        f"{first.name} from {few(first.by, 40)}{f', nor {more} others' * (more > 0)}"
     )
     zero = " (the zero of Fz is unknown: the mass alone does not)" * (
         MASS in known and PlateBias.term in nuisances

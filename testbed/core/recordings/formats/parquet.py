@@ -22,12 +22,6 @@ FORMAT = "testbed recording 1"
 KEY = "testbed"
 """Under which the schema keeps the metadata."""
 
-ROW_GROUP = 250_000
-"""Samples a row group: what a streaming reader holds at once."""
-
-BATCH = 65_536
-"""Samples read at once."""
-
 BUFFER = 1 << 20
 """Bytes of a column that are read at once."""
 
@@ -122,7 +116,8 @@ class ParquetTable:
         wanted = range(group, groups.num_row_groups)
         self._first, self._reading = start, columns
         self._batches: list[pa.RecordBatch] = []
-        self._rest = self._file.iter_batches(BATCH, wanted, columns=list(columns))
+        # samples read at once
+        self._rest = self._file.iter_batches(65_536, wanted, columns=list(columns))
 
 
 def write_table(
@@ -150,7 +145,8 @@ def write_table(
     ) as writer:
         for part in parts:
             arrays = [pa.array(part[name]) for name in units]
-            writer.write_table(pa.table(arrays, schema=schema), ROW_GROUP)
+            # samples a row group: what a streaming reader holds at once
+            writer.write_table(pa.table(arrays, schema=schema), 250_000)
 
 
 @contextmanager

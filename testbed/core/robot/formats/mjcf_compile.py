@@ -170,8 +170,6 @@ def _rounded(number: int) -> str:
     return str(number) if number < 10**9 else f"over 10^{len(str(number)) - 1}"
 
 
-LONGEST_MESSAGE = 400
-"""Of MuJoCo's: it repeats what it found in a file."""
 MASSLESS = 1e-12
 """Given to massless bodies so that the compiler takes them; read back as no matter [kg]."""
 FULL = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -331,7 +329,8 @@ def resolve(
 
 def one_line(error: Exception) -> str:
     """MuJoCo's message without its line breaks."""
-    return " ".join(str(error).removeprefix("Error: ").split())[:LONGEST_MESSAGE]
+    # of MuJoCo's: it repeats what it found in a file
+    return " ".join(str(error).removeprefix("Error: ").split())[:400]
 
 
 def rotation_matrix(quaternion: Array) -> Array:

@@ -55,9 +55,6 @@ TENSOR = {
 }
 """Entries of an inertia, by attribute."""
 
-RIGHT = 1e-5
-"""Angles of rpy so near a multiple of a right angle are one, rounded in the file [rad]."""
-
 
 @dataclass(frozen=True)
 class _Numbers:
@@ -398,7 +395,8 @@ def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:
             raise ModelError(f"{where} holds {value:g}, which cannot be negative")
     if numbers.angles:
         right = [round(2 * angle / math.pi) * math.pi / 2 for angle in values]
+        # angles of rpy so near a multiple of a right angle are one, rounded in the file [rad]
         values = [
-            r if abs(a - r) <= RIGHT else a for a, r in zip(values, right, strict=True)
+            r if abs(a - r) <= 1e-5 else a for a, r in zip(values, right, strict=True)
         ]
     return plain(values)
