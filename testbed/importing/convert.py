@@ -396,10 +396,7 @@ def _grid(
             f"{max(0.0, last - first):.3g} s are left of what the sources have in common, too "
             f"little for {mapping.rate:g} Hz; is `time_unit` right, and every source's `offset`?"
         )
-    found: Array = (
-        first + np.arange(int(count + SAME * mapping.rate) + 1) / mapping.rate
-    )
-    return found
+    return first + np.arange(int(count + SAME * mapping.rate) + 1) / mapping.rate
 
 
 def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:

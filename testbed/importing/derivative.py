@@ -68,12 +68,12 @@ class Slopes:
     @property
     def likely(self) -> NDArray[np.intp]:
         """(n,): whose integral each signal is: its own, unless another's explains it far better."""
-        n = len(self.fit)
+        joints = np.arange(len(self.fit))
         best, own = np.argmax(self.fit, axis=1), np.diagonal(self.fit)
-        most = self.fit[np.arange(n), best]
+        most = self.fit[joints, best]
         other = (most > SURE) & (1 - own > BETTER * (1 - most))
-        found = np.where(other, best, np.arange(n))
-        return found if len(set(found.tolist())) == n else np.arange(n)
+        found = np.where(other, best, joints)
+        return found if len(set(found.tolist())) == len(joints) else joints
 
 
 def slopes(values: Array, rates: Array, time: Array) -> Slopes:
@@ -195,10 +195,11 @@ def _diagnostics(
             it.
     """
     n, order = len(joints), found.likely
-    slope, fit = found.slope[np.arange(n), order], found.fit[np.arange(n), order]
+    own = np.arange(n)
+    slope, fit = found.slope[own, order], found.fit[own, order]
     sure = fit > SURE
     wrong = sure & (np.abs(slope - 1) > NEAR)
-    if (order != np.arange(n)).any() or wrong.any():
+    if (order != own).any() or wrong.any():
         read = np.stack([sizes[0], sizes[1][order]])
         lines = _lines(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
         names = [joints[k] for k in range(n) if wrong[k] or order[k] != k]
@@ -254,7 +255,8 @@ def _lines(
     if table.matrix is not None or below.matrix is not None:
         return []
     lines: list[Line] = []
-    if (order != np.arange(len(order))).any():
+    joints = np.arange(len(order))
+    if (order != joints).any():
         lines.append((kind, "columns", [table.columns[k] for k in order]))
     if (slope < 0).any():
         before = table.sign or [1] * len(slope)
@@ -263,7 +265,7 @@ def _lines(
     sizes = np.abs(slope)
     if (np.abs(sizes - 1) > NEAR).any():
         own = _units(kind, table, order, sizes)
-        other = _units(of, below, np.arange(len(order)), 1 / sizes)
+        other = _units(of, below, joints, 1 / sizes)
         if own is None and other is None:
             return []
         of_below = own is None or (other is not None and _odd(read, sizes) > 0)

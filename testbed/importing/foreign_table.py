@@ -20,28 +20,17 @@ from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, UnknownName
-from testbed.importing.vocabulary import by_word
+from testbed.importing.vocabulary import TABLES, by_word
 
 Kind = Literal["position", "velocity", "acceleration", "torque", "temperature"]
 KINDS: tuple[Kind, ...] = ("position", "velocity", "acceleration", "torque")
 """What is measured of a joint's motion and of what moves it."""
 
-ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi}
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
-FORCES = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
-MOMENTS = {
-    "N m": 1.0,
-    "N mm": 1e-3,
-    "N cm": 1e-2,
-    "kN m": 1e3,
-    "lbf in": 0.1129848290276167,
-    "lbf ft": 1.3558179483314004,
-    "kgf m": 9.80665,
-    "kgf cm": 0.0980665,
-}
-RAW = {"A": 1.0, "mA": 1e-3, "pwm": 1.0, "V": 1.0, "mV": 1e-3, "raw": 1.0}
+SIZES: Mapping[str, dict[str, float]] = TABLES["sizes"]
+ANGLES, LENGTHS, FORCES = SIZES["angles"], SIZES["lengths"], SIZES["forces"]
+MOMENTS, TIMES = SIZES["moments"], SIZES["times"]
+RAW = SIZES["raw"]
 """Of what becomes a torque by a gain."""
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86_400.0}
 
 
 def _units_of_joint(

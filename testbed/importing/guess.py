@@ -97,11 +97,11 @@ def guessed(
             draft = draft.saying(f"sources.{each.name}", "rate", None)
     for kind in get_args(Kind):
         draft = _with_signal(draft, kind, signals, sources)
-    names = [name for name, _, _ in plates]
+    names, alone = [name for name, _, _ in plates], len(plates) == 1
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
-        table = "wrench" if len(plates) == 1 else f"plates.{_key(own)}"
-        draft = draft.saying_all(table, _plate(source, columns, alone=len(plates) == 1))
+        table = "wrench" if alone else f"plates.{_key(own)}"
+        draft = draft.saying_all(table, _plate(source, columns, alone=alone))
     return draft
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -156,12 +157,9 @@ def _tables(path: Path, name: str) -> Iterator[LikelySource]:
             raise error
     for number, (topic, table) in enumerate(readable.items()):
         own = f"{name}_topic{number}".strip("_") if topic else name or "log"
-        arrays = {array: max(shape) for array, shape in table.shapes.items()}
-        # sampled at other times
-        for k, count in enumerate(dict.fromkeys(arrays.values())):
-            shapes = {
-                each: s for each, s in table.shapes.items() if arrays[each] == count
-            }
+        counts = dict.fromkeys(map(max, table.shapes.values()))
+        for k, count in enumerate(counts):  # sampled at other times
+            shapes = {each: s for each, s in table.shapes.items() if max(s) == count}
             part = replace(table, shapes=shapes)
             yield _source(f"{own}_{k + 1}" if k else own, path, topic or None, part)
 
@@ -291,17 +289,13 @@ def _by_data(
             if len(group.columns) == count > 0
         }
         own = {k: each.group for k, each in found.items() if each.source is source}
+        kinds: tuple[Kind, Kind] = ("position", "velocity")
+        likely = ([own[k]] if k in own else [*groups.values()] for k in kinds)
         pairs = [
             (position, velocity)
-            for position in (
-                [own["position"]] if "position" in own else groups.values()
-            )
-            for velocity in (
-                [own["velocity"]] if "velocity" in own else groups.values()
-            )
+            for position, velocity in product(*likely)
             if position is not velocity and _follows(source, position, velocity)
         ]
-        kinds: tuple[Kind, Kind] = ("position", "velocity")
         for kind, group in zip(kinds, pairs[0] if pairs else (), strict=False):
             if kind not in own:
                 yield kind, source, group, BY_BOTH

@@ -64,8 +64,7 @@ def onto_grid(time: Array, values: Array, source_rate: float, grid: Array) -> Ar
             values, time = _spline(time, values, even)(steady), steady
         values, time = _filtered(values, time, source_rate, rate)
         even = True
-    found: Array = _spline(time, values, even)(np.clip(grid, time[0], time[-1]))
-    return found
+    return _spline(time, values, even)(np.clip(grid, time[0], time[-1]))
 
 
 def _spline(time: Array, values: Array, even: bool) -> Callable[[Array], Array]:

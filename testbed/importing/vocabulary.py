@@ -1,4 +1,4 @@
-"""Words and loggers that are known, as `vocabulary.toml` and `loggers.toml` list them."""
+"""Tables of words, loggers, formats and hypotheses, as files beside this module list them."""
 
 from __future__ import annotations
 

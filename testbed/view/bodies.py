@@ -43,8 +43,8 @@ def consistent_tables(found: Consistent) -> list[Table]:
     numbers = numbers_with_sigma(
         found.coefficients, found.coefficient_sigma, short=True
     )
-    own = list(zip(names, numbers, strict=True))
-    return [*tables, *([Table(["joint's own", "estimate"], own)] if own else [])]
+    own = Table.of({"joint's own": names, "estimate": numbers})
+    return [*tables, own] if names else tables
 
 
 def _body_rows(

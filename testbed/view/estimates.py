@@ -184,9 +184,9 @@ def payload_table(found: PayloadEstimate, title: str = "") -> Table:
         number if identifiable else "only in combination"
         for number, identifiable in zip(numbers, found.identifiable, strict=True)
     ]
-    rows = list(zip(found.names, said, found.units, strict=True))
+    columns = {"": found.names, "value": said, "unit": found.units}
     title = title or f"payload on the link of {found.joint}, about and along its frame"
-    return Table(["", "value", "unit"], rows, title, left=["unit"])
+    return Table.of(columns, title, left=["unit"])
 
 
 def scales_table(found: TorqueScales) -> Table:
@@ -195,12 +195,9 @@ def scales_table(found: TorqueScales) -> Table:
     Args:
         found: By a known payload.
     """
-    rows = list(
-        zip(found.names, numbers_with_sigma(found.values, found.sigma), strict=True)
-    )
-    return Table(
-        ["joint", "reported over true torque"], rows, "divide torques, or gains, by"
-    )
+    numbers = numbers_with_sigma(found.values, found.sigma)
+    columns = {"joint": found.names, "reported over true torque": numbers}
+    return Table.of(columns, "divide torques, or gains, by")
 
 
 def payload_lines(found: PayloadEstimate) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -71,28 +71,25 @@ def _promise(found: Excitation) -> str:
     )
 
 
-def sigma_table(found: Excitation, rows: Iterable[int]) -> Table:
+def sigma_table(found: Excitation, rows: Sequence[int]) -> Table:
     """What a motion promises of parameters, and what a random one would.
 
     Args:
         found: The motion.
         rows: Places of the parameters.
     """
-    random = None if found.random is None else found.random.relative
-
-    def row(k: int) -> list[str]:
-        predicted = found.predicted
-        words = [
-            predicted.names[k],
-            f"{predicted.sigma[k]:.2g}",
-            f"{predicted.relative[k]:.3%}",
+    predicted = found.predicted
+    columns = {
+        "parameter": [predicted.names[k] for k in rows],
+        "predicted\nstd": [f"{predicted.sigma[k]:.2g}" for k in rows],
+        "relative\nstd": [f"{predicted.relative[k]:.3%}" for k in rows],
+    }
+    if found.random is not None:
+        random = found.random.relative[list(rows)]
+        columns["random\nmotion"] = [
+            f"{share:.3%}" if np.isfinite(share) else "-" for share in random
         ]
-        if random is not None:
-            words.append(f"{random[k]:.3%}" if np.isfinite(random[k]) else "-")
-        return words
-
-    heads = ["parameter", "predicted\nstd", "relative\nstd", "random\nmotion"]
-    return Table(heads[: 3 + (random is not None)], [row(k) for k in rows])
+    return Table.of(columns)
 
 
 def margin_table(margins: Iterable[Margin]) -> Table:

@@ -106,7 +106,7 @@ def _relative_sigmas(estimate: Estimate) -> Array:
     """Relative sigmas; not a number where a value is zero, known, or not identifiable."""
     size = np.abs(estimate.values)
     known = (size > 0) & (estimate.sigma > ROUNDING * size)
-    return np.asarray(estimate.sigma / np.where(known, size, np.nan))
+    return estimate.sigma / np.where(known, size, np.nan)
 
 
 def _by_name(names: Sequence[str], estimate: Estimate, values: Array) -> Array:

@@ -72,7 +72,7 @@ def errors_table(found: PredictionErrors) -> Table:
     """
     columns = {"channel": found.channels, "unit": found.units} | _error_columns(found)
     title = f"rms error of predictions of {phrase(found.of)}"
-    return Table([*columns], list(zip(*columns.values(), strict=True)), title, ["unit"])
+    return Table.of(columns, title, ["unit"])
 
 
 def validation_table(found: Validation) -> Table:
@@ -94,9 +94,8 @@ def validation_table(found: Validation) -> Table:
         "ratio": _texts(found.ratio),
         "rows": [str(rows) for rows in found.rows],
     }
-    return Table(
-        [*columns],
-        list(zip(*columns.values(), strict=True)),
+    return Table.of(
+        columns,
         f"{NAMES[found.method]}, cross-validation on another recording"
         + "; * judged: all that follows is about it" * (found.errors is not None),
         left=["unit"],

@@ -26,6 +26,17 @@ class Table:
     left: Sequence[str] = ()
     parts: Sequence[Sequence[int]] = ()
 
+    @staticmethod
+    def of(
+        columns: Mapping[str, Sequence[str]],
+        title: str = "",
+        left: Sequence[str] = (),
+        parts: Sequence[Sequence[int]] = (),
+    ) -> Table:
+        """Table of columns of equal length, by their heads."""
+        rows = list(zip(*columns.values(), strict=True))
+        return Table([*columns], rows, title, left, parts)
+
     @property
     def split(self) -> list[Table]:
         """A table for each part."""

@@ -163,8 +163,7 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
         print_tables(out, [drive_table(run.drives.estimates)])
         print_text(out, drive_lines(run.drives))
     if everything:
-        expect = {} if run.experiment is None else run.experiment.expect
-        _print_metrics(out, run, dict.fromkeys((*run.metrics, *expect)))
+        _print_metrics(out, run, dict.fromkeys((*run.metrics, *run.verdicts)))
     out.print(f"run folder: {folder}")
 
 

@@ -195,7 +195,7 @@ def _white_noise(signal: Array) -> Array:
     Args:
         signal: (M, C).
     """
-    return np.asarray(np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN))
+    return np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN)
 
 
 def _noise_above(signal: Array, low_pass: Array, wider: Array) -> Array:

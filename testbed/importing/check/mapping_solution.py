@@ -7,7 +7,7 @@ frame is refined (`correction`). Beside each value stands what it is known by.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -47,16 +47,11 @@ from testbed.importing.derivative import DerivativeError
 from testbed.importing.foreign_table import TURNING
 from testbed.importing.import_report import MappingDraft
 from testbed.importing.mapping import Mapping as MappingFile
+from testbed.importing.vocabulary import TABLES
 
 SLIDING = ": lengths of joints that slide"
 
-USUAL = {
-    "position": ("rad", "m"),
-    "velocity": ("rad/s", "m/s"),
-    "acceleration": ("rad/s^2", "m/s^2"),
-    "torque": ("N m", "N"),
-    "base": ("m", "m"),
-}
+USUAL: Mapping[str, tuple[str, str]] = TABLES["usual"]
 """Units that are assumed, of joints that turn and of those that slide; of a base's place."""
 
 ROUNDS = 4
@@ -179,10 +174,9 @@ def _assessed(
 def _assume(draft: MappingDraft, tree: Tree) -> MappingDraft:
     """What is open is what is usual."""
     sliding = {joint.name for joint in tree.joints if not joint.revolute}
-    tables = draft.tables
-    joints = tables[""]["joints"]
+    joints = draft.tables[""]["joints"]
     for kind, (turns, slides) in USUAL.items():
-        unit = tables.get(kind, {}).get("unit")
+        unit = draft.tables.get(kind, {}).get("unit")
         if unit == "" or (
             unit in [*TURNING.get(kind, ())] and sliding.intersection(joints)
         ):
@@ -192,16 +186,13 @@ def _assume(draft: MappingDraft, tree: Tree) -> MappingDraft:
             draft = draft.saying(
                 kind, "unit", units if len({*units}) > 1 else units[0], note
             )
-    if tables.get("torque", {}).get("gain") == "":
+    if draft.tables.get("torque", {}).get("gain") == "":
         draft = draft.saying(
             "torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]"
         )
-    plates = {
-        name: each
-        for name, each in tables.items()
-        if name.startswith(("wrench", "plates."))
-    }
-    for name, plate in plates.items():
+    for name, plate in draft.tables.items():
+        if not name.startswith(("wrench", "plates.")):
+            continue
         units = [
             each or usual
             for each, usual in zip(plate["units"], ("N", "N m"), strict=True)

@@ -70,9 +70,9 @@ def spikes(recording: Recording) -> Iterator[Diagnostic]:
     Args:
         recording: Or a part of one.
     """
-    for signal in (
-        name for name in ("position", "torque", "wrench") if name in recording.signals
-    ):
+    for signal in ("position", "torque", "wrench"):
+        if signal not in recording.signals:
+            continue
         values = recording.measured(signal)
         rare = min(max(FEWEST / len(values), RARE), 0.25)
         low, high = np.quantile(values, [rare, 1 - rare], axis=0)

@@ -18,6 +18,7 @@ from testbed.core.robot.rotations import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.foreign_table import LENGTHS, factor
 from testbed.importing.import_report import Line
+from testbed.importing.vocabulary import read_table
 
 
 class Kind(NamedTuple):
@@ -31,27 +32,7 @@ class Kind(NamedTuple):
     penalty: float = 0.0
 
 
-KINDS: Mapping[str, Kind] = {
-    "degrees": Kind("degrees taken for radians", "position"),
-    "radians": Kind("radians taken for degrees", "position"),
-    "position_sign": Kind("the opposite sign of the position", "position", 1.5),
-    "position_order": Kind("positions in another order of joints", "position", 1.5),
-    "zero": Kind("another zero of the position", "position", 4.0),
-    "base_unit": Kind("another unit of the base's position", "base"),
-    "quaternion_order": Kind(
-        "x, y, z, w of the base's quaternion taken for w, x, y, z", "base"
-    ),
-    "torque_sign": Kind("the opposite sign of the torque", "torque"),
-    "torque_order": Kind("torques in another order of joints", "torque"),
-    "torque_size": Kind("torques of another size", "torque"),
-    "units": Kind("other units of the plate", "wrench"),
-    "plate_order": Kind("the plate's columns in another order", "wrench", 1.0),
-    "turn": Kind("a plate's frame that is turned", "wrench"),
-    "shift": Kind("a plate's frame that lies elsewhere", "wrench"),
-    "sense": Kind("the opposite sense of the wrench", "wrench"),
-    "tare": Kind("a plate that was not zero without the robot", "wrench"),
-    "late": Kind("a clock of the plate that is off", "wrench", 4.0),
-}
+KINDS = {name: Kind(**each) for name, each in read_table("hypotheses").items()}
 
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
 """Zeros that model files and controllers put elsewhere [rad]."""

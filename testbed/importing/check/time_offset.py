@@ -315,7 +315,7 @@ def _filtered(
     signal = decimate(decimate(signal, low_pass, fine), weights, slice(None))
     time = signal[:, 0]
     spline = make_interp_spline(time, signal[:, 1:], k=min(5, len(time) - 1))
-    return time, lambda at: np.asarray(spline(np.clip(at, time[0], time[-1])))
+    return time, lambda at: spline(np.clip(at, time[0], time[-1]))
 
 
 def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffset:
@@ -353,7 +353,7 @@ def _residuals(
 
     def residuals(late: Array) -> Array:
         flat = (measured(time + powers @ late) * weights).ravel()
-        return np.asarray(flat - basis @ (basis.T @ flat))
+        return flat - basis @ (basis.T @ flat)
 
     return residuals
 

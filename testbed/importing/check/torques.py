@@ -255,10 +255,9 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     from scipy.optimize import linear_sum_assignment
 
     n = torques.joints
-    pairs = product(range(n), repeat=2)
     fits = {
         pair: torques.fit(*pair)
-        for pair in pairs
+        for pair in product(range(n), repeat=2)
         if n <= MOST_JOINTS or pair[0] == pair[1]
     }
     costs = np.full((n, n), np.inf)

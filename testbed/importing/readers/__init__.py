@@ -11,24 +11,15 @@ from pathlib import Path
 from testbed.core.base.errors import WIDTH, RecordingError, UnknownName, few, no_file
 from testbed.importing.foreign_table import ForeignTable, Tables, check_count, readable
 from testbed.importing.readers.isolated import read_isolated, tables_of
+from testbed.importing.vocabulary import read_table
 
-READERS = {
-    "delimited_text": (".csv", ".tsv", ".txt", ".dat"),
-    "numpy_archive": (".npz", ".npy"),
-    "parquet_columns": (".parquet",),
-    "matlab": (".mat",),
-    "hdf5": (".h5", ".hdf5", ".hdf"),
-    "ros_bag": (".bag", ".db3"),
-    "mcap": (".mcap",),
-    "rerun_log": (".rrd",),
-    "c3d": (".c3d",),
-}
-"""Modules of this room, and the endings of their files."""
+FORMATS = read_table("formats")
+"""By the module of this room that reads them."""
 
-FOLDERS = {"lerobot": "meta/info.json", "ros_bag": "metadata.yaml"}
+FOLDERS = {name: each["folder"] for name, each in FORMATS.items() if "folder" in each}
 """Modules that read a folder, and the file in it by which it is known."""
 
-ENDINGS = {ending: module for module, endings in READERS.items() for ending in endings}
+ENDINGS = {ending: name for name, each in FORMATS.items() for ending in each["endings"]}
 
 
 def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
@@ -44,7 +35,7 @@ def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
         UnknownName: The ending is that of no known format.
     """
     module = _reader_of(path)
-    if topic is not None and module not in PARTED:
+    if topic is not None and not FORMATS[module].get("topics"):
         raise RecordingError(f"{path}: `topic` is for bags, MCAP and .rrd")
     found = _tables(path, module, topic)
     if len(found) > 1:
@@ -69,17 +60,12 @@ def tables(path: Path) -> Tables:
 
 
 def _tables(path: Path, module: str, topic: str | None) -> Tables:
-    found = (read_isolated if module in ISOLATED else tables_of)(module, path, topic)
+    isolated = FORMATS[module].get("isolated")
+    found = (read_isolated if isolated else tables_of)(module, path, topic)
     if not found:
         raise RecordingError(f"{path}: there are no messages or numbers in it")
     return found
 
-
-PARTED = ("ros_bag", "mcap", "rerun_log")
-"""Modules whose files may hold several tables."""
-
-ISOLATED = ("matlab", "hdf5", "ros_bag", "rerun_log", "c3d", "mcap")
-"""Modules whose libraries a damaged file can crash or flood."""
 
 MOST_FILES = 100_000
 """Of a folder."""

@@ -135,8 +135,7 @@ def _times(path: Path, episode: NDArray[Any], stamp: NDArray[Any], fps: float) -
         return time
     pause = max(SILENCE, SILENT_FRAMES / fps)
     starts = np.append(0.0, np.cumsum(time[last] - time[first] + pause)[:-1])
-    shifted: Array = time + np.repeat(starts - time[first], last - first + 1)
-    return shifted
+    return time + np.repeat(starts - time[first], last - first + 1)
 
 
 def _columns(feature: str, about: Any) -> list[str]:

@@ -120,23 +120,20 @@ def _protobuf(schema: Any) -> Decoder:
 
 def _content(message: Any) -> dict[str, Any]:
     """A Protobuf message as JSON has it; numbers that are not sent are zero, as they are there."""
-    sent = {field.name: value for field, value in message.ListFields()}
     if message.DESCRIPTOR.full_name in TIMES:
-        return {"sec": sent.get("seconds", 0), "nsec": sent.get("nanos", 0)}
+        return {"sec": message.seconds, "nsec": message.nanos}
+    sent = {field.name for field, _ in message.ListFields()}
     found: dict[str, Any] = {}
     for field in message.DESCRIPTOR.fields:
-        inner = field.message_type
-        if field.name not in sent:
-            if not (field.is_repeated or field.has_presence):
-                found[field.name] = field.default_value
-        elif inner is None:
-            found[field.name] = (
-                [*sent[field.name]] if field.is_repeated else sent[field.name]
-            )
+        if field.name not in sent and (field.is_repeated or field.has_presence):
+            continue
+        value, inner = getattr(message, field.name), field.message_type
+        if inner is None:
+            found[field.name] = [*value] if field.is_repeated else value
         elif not field.is_repeated:
-            found[field.name] = _content(sent[field.name])
+            found[field.name] = _content(value)
         elif not inner.GetOptions().map_entry:
-            found[field.name] = [_content(each) for each in sent[field.name]]
+            found[field.name] = [_content(each) for each in value]
     return found
 
 

@@ -12,7 +12,7 @@ from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.predict import Channel
 from testbed.view.viewer.robot_drawing import CLOCK
-from testbed.view.viewer.scene import Scene, root, safe
+from testbed.view.viewer.scene import Scene, entity, root, safe
 
 MOST_ROWS = 8
 """Plots one below the other that can still be read."""
@@ -169,11 +169,9 @@ def _stack(rows: Sequence[rrb.View | rrb.Container], name: str) -> rrb.Container
 
 def _row(scene: Scene, channel: Channel, at: str) -> rrb.Horizontal:
     """A channel measured and predicted, and beside it what is left over."""
-    plots = {f"{at}/{channel.kind}/{safe(channel.name)}": channel.name}
+    plots = {entity(at, channel): channel.name}
     if channel.residuals:
-        plots[f"{at}/residual/{channel.kind}/{safe(channel.name)}"] = (
-            f"{channel.name}: residual"
-        )
+        plots[entity(f"{at}/residual", channel)] = f"{channel.name}: residual"
     legend = channel.index == 0
     return rrb.Horizontal(
         *(

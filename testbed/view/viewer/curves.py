@@ -13,7 +13,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import NAMES
 from testbed.view.viewer.colours import COLOURS, palette
 from testbed.view.viewer.robot_drawing import clock
-from testbed.view.viewer.scene import Scene, safe
+from testbed.view.viewer.scene import Scene, entity
 
 BINS = 25.0
 """Parts of a second of which extremes are shown: a plot of ten seconds has as many pixels [Hz]."""
@@ -32,7 +32,7 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     positions = dict(zip(names, recording.position.T, strict=True))
     log_series(stream, f"{at}/position", recording.time, positions, palette(len(names)))
     for channel in scene.predictions.channels:
-        path = f"{at}/{channel.kind}/{safe(channel.name)}"
+        path = entity(at, channel)
         log_series(stream, path, time, channel.curves)
         if channel.kind == "torque" and drives is not None:
             curve, speed = (
@@ -47,7 +47,7 @@ def log_residuals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     """Residuals of torques and wrench, smoothed."""
     for channel in scene.smooth.channels:
         if residuals := channel.residuals:
-            path = f"{at}/residual/{channel.kind}/{safe(channel.name)}"
+            path = entity(f"{at}/residual", channel)
             log_series(stream, path, scene.smooth.motion.t, residuals)
 
 

@@ -13,7 +13,7 @@ from testbed.bodies.shapes.appearance import Appearance, load_appearance
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, sentences
 from testbed.core.dynamics.newton_euler import Motion, poses
-from testbed.lab.experiment.predict import Predictions, predict
+from testbed.lab.experiment.predict import Channel, Predictions, predict
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.summary import summary, verdict
 from testbed.view.drives import TITLE, drive_table
@@ -139,6 +139,11 @@ def safe(name: str) -> str:
     return str(rr.escape_entity_path_part(name))
 
 
+def entity(at: str, channel: Channel) -> str:
+    """Path of a channel's curves among the entities below a root."""
+    return f"{at}/{channel.kind}/{safe(channel.name)}"
+
+
 def plain(text: str) -> str:
     """Text that Markdown takes as it is: asterisks of parameters' names, for one."""
     return re.sub(r"([\\`*_{}\[\]()#+.!<>|~-])", r"\\\1", text)
@@ -161,4 +166,4 @@ def means(signal: Array, size: int) -> Array:
     blocks = -(-len(signal) // size)
     starts = np.arange(blocks) * size
     counts = np.diff([*starts, len(signal)])
-    return np.asarray(np.add.reduceat(signal, starts, axis=0) / counts[:, None])
+    return np.add.reduceat(signal, starts, axis=0) / counts[:, None]
