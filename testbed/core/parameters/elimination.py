@@ -219,7 +219,7 @@ def eliminate(
         entries: Candidates.
         known_zero: Barycentric parameters known to be zero, (n, 10).
     """
-    forms, rows = dense_rows(tree, bodies, entries), _free(tree, entries, known_zero)
+    forms, rows = dense_rows(tree, bodies, entries), _free(tree.n, entries, known_zero)
     changed = np.full(len(rows), FREE)  # the only entry that each direction changes
     dependent: dict[int, dict[int, float]] = {}
     for body in range(tree.n - 1, BEDPLATE - 1, -1):
@@ -262,19 +262,14 @@ def _settle(
     return {}
 
 
-def _free(tree: Tree, entries: Sequence[Entry], known_zero: NDArray[np.bool_]) -> Array:
-    """Directions of barycentric parameters, of bodies' entries and single ones, (k, 10 n).
-
-    Where nothing is known of a body and its carrier, its entries' are enough: nothing is passed on.
-    """
-    rows, bound = [np.zeros((0, 10 * tree.n))], np.any(known_zero, axis=1)
-    for body, carrier in enumerate(tree.parents):
+def _free(n: int, entries: Sequence[Entry], known_zero: NDArray[np.bool_]) -> Array:
+    """Directions of barycentric parameters, of bodies' entries and single ones, (k, 10 n)."""
+    rows = [np.zeros((0, 10 * n))]
+    for body, zero in enumerate(known_zero):
         own = (entry.alone for entry in entries if entry.body == body)
-        alone = [each for each in own if not each[known_zero[body]].any()]
-        passing = carrier == BEDPLATE or bound[body] or bound[carrier]
-        single = np.eye(10)[~known_zero[body]] if passing else ()
-        values = np.reshape([*alone, *single], (-1, 10))
-        rows.append(np.pad(values, ((0, 0), (10 * body, 10 * (tree.n - 1 - body)))))
+        alone = [each for each in own if not each[zero].any()]
+        values = np.array([*alone, *np.eye(10)[~zero]]).reshape(-1, 10)
+        rows.append(np.pad(values, ((0, 0), (10 * body, 10 * (n - 1 - body)))))
     return np.concatenate(rows)
 
 
