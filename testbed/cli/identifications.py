@@ -210,7 +210,7 @@ def identify(
     wanted = METHODS if method == "both" else (method,)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     doubts = placeholders(tree).diagnostics if is_imported(source) else ()
-    said = [*tree.diagnostics, *doubts, *said]
+    said = [*tree.diagnostics, *said, *doubts]
     if (
         everything or as_json
     ) and not tree.is_part:  # no fault: few recordings have both

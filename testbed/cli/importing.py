@@ -111,8 +111,8 @@ def _solution(
     said = [diagnose("robot.locked", locked)] if locked else []
     if file.weld_root and not reading.weld_root:
         said.append(diagnose("robot.welded", tree.name))
-    doubts = (*tree.diagnostics, *placeholders(tree).diagnostics)
-    output.print_result(diagnostics=[*doubts, *said, *solution.diagnostics])
+    found = (*tree.diagnostics, *said, *solution.diagnostics)
+    output.print_result(diagnostics=[*found, *placeholders(tree).diagnostics])
     return solution
 
 

@@ -269,7 +269,7 @@ def _run_at(path: Path, reading: Reading, *, consistent: bool = False) -> Run:
         bodies=reading.bodies(source) if consistent else None,
     )
     doubts = placeholders(reading.tree).diagnostics
-    return replace(run, diagnostics=ordered([*doubts, *accepted, *run.diagnostics]))
+    return replace(run, diagnostics=ordered([*accepted, *run.diagnostics, *doubts]))
 
 
 def _alike(path: Path) -> str:

@@ -178,7 +178,7 @@ INDEPENDENT = 1e-9
 """What unit parameters must change of an entry, or of a carrier, for it to count."""
 
 ROUNDING = 1e-13
-"""Parameter of a direction, which has some near one, that is rounding of zero."""
+"""Part of a direction's largest parameter that is rounding of zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,13 +202,41 @@ FREE = -1
 """Index of the entry of a direction that changes none."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Directions in which a body and those that it carries can change.
+
+    Attributes:
+        rows: The body's ten redefined parameters, then the barycentric parameters of all bodies
+            that have these, (k, 10 + 10 n).
+        entries: Index of the only entry that each changes, by one, or FREE, (k,).
+    """
+
+    rows: Array
+    entries: NDArray[np.int_]
+
+    @property
+    def sizes(self) -> Array:
+        """Largest magnitudes of the barycentric parameters, (k,)."""
+        return np.asarray(np.abs(self.rows[:, 10:]).max(axis=1))
+
+    def of(self, which: NDArray[np.bool_ | np.intp]) -> _Directions:
+        """Some of them, by mask or index."""
+        return _Directions(self.rows[which], self.entries[which])
+
+    def beside(self, other: _Directions) -> _Directions:
+        """These, then others."""
+        entries = np.concatenate([self.entries, other.entries])
+        return _Directions(np.vstack([self.rows, other.rows]), entries)
+
+
 def eliminate(
     tree: Tree,
     bodies: Sequence[Body],
     entries: Sequence[Entry],
     known_zero: NDArray[np.bool_],
 ) -> Elimination:
-    """Decide which entries are independent, by Gauss and Jordan on directions that are free.
+    """Decide which entries are independent.
 
     Of dependent entries of one body, those given first are kept; of several bodies, those
     nearest the tips.
@@ -219,58 +247,119 @@ def eliminate(
         entries: Candidates.
         known_zero: Barycentric parameters known to be zero, (n, 10).
     """
-    forms, rows = dense_rows(tree, bodies, entries), _free(tree.n, entries, known_zero)
-    changed = np.full(len(rows), FREE)  # the only entry that each direction changes
+    whole = [not row.any() for row in known_zero]
+    members: dict[int, dict[int, Entry]] = {
+        body: {} for body in range(BEDPLATE, tree.n)
+    }
+    for k, entry in enumerate(entries):
+        members[entry.body][k] = entry
+    settled = _of_a_body(tree.n, 0, [], FREE)
+    carried = dict.fromkeys(members, settled)
     dependent: dict[int, dict[int, float]] = {}
-    for body in range(tree.n - 1, BEDPLATE - 1, -1):
-        own = [k for k, entry in enumerate(entries) if entry.body == body]
-        touched = np.flatnonzero((rows @ forms[own].T).any(axis=1))
-        part, bound = rows[touched], changed[touched]
-        for k in own:
-            dependent |= _settle(k, forms[k], part, bound)
-        rows[touched] = np.where(np.abs(part) > ROUNDING, part, 0.0)
-        changed[touched] = bound
-    kept = np.argsort(changed)[np.count_nonzero(changed == FREE) :]
-    return Elimination(tuple(changed[kept].tolist()), rows[kept].T, dependent)
+    for body in reversed(range(tree.n)):
+        carrier, directions = tree.parents[body], carried[body]
+        if carrier != BEDPLATE and whole[body] and whole[carrier]:
+            done = _undisturbed(tree.n, body, members[body], directions)
+        else:
+            directions = _free(tree.n, body, members[body], known_zero[body]).beside(
+                directions
+            )
+            directions, combined = _chosen(members[body], directions)
+            dependent |= combined
+            done, passed = _passed(directions, passed_on(tree, bodies, body))
+            carried[carrier] = carried[carrier].beside(passed)
+        settled = settled.beside(done)
+    directions, combined = _chosen(members[BEDPLATE], carried[BEDPLATE])
+    settled = settled.beside(directions.of(directions.entries != FREE))
+    settled = settled.of(np.argsort(settled.entries))
+    lift = np.where(
+        np.abs(settled.rows) > ROUNDING * settled.sizes[:, None], settled.rows, 0.0
+    )
+    return Elimination(
+        tuple(settled.entries.tolist()), lift[:, 10:].T, dependent | combined
+    )
 
 
-def _settle(
-    k: int, form: Array, rows: Array, changed: NDArray[np.int_]
-) -> dict[int, dict[int, float]]:
-    """Take a free direction for an entry, which no other then changes.
+def _of_a_body(
+    n: int, body: int, values: Sequence[Array], entries: int | Sequence[int]
+) -> _Directions:
+    """Directions of a body's own parameters, (k, 10)."""
+    rows = np.zeros((len(values), n + 1, 10))
+    rows[:, 0] = rows[:, body + 1] = np.reshape(values, (-1, 10))
+    return _Directions(
+        rows.reshape(-1, 10 * n + 10), np.full(len(values), entries, dtype=int)
+    )
 
-    Args:
-        k: Number of the entry.
-        form: The entry, (N,).
-        rows: Directions, (m, N), which are changed.
-        changed: Number of the only entry that each changes, (m,), FREE for none; likewise.
+
+def _undisturbed(
+    n: int, body: int, own: dict[int, Entry], directions: _Directions
+) -> _Directions:
+    """Where nothing is known of a body and its carrier: all entries, nothing passed on."""
+    bound = directions.of(directions.entries != FREE)
+    # the body's own parameters make up for what it was passed
+    rows = bound.rows - _of_a_body(n, body, [*bound.rows[:, :10]], FREE).rows
+    alone = _of_a_body(n, body, [entry.alone for entry in own.values()], [*own])
+    return alone.beside(_Directions(rows, bound.entries))
+
+
+def _free(
+    n: int, body: int, own: dict[int, Entry], known_zero: NDArray[np.bool_]
+) -> _Directions:
+    """Directions of a body's own parameters: its entries' alone, and single parameters."""
+    alone = (entry.alone for entry in own.values())
+    values = [
+        *(each for each in alone if not each[known_zero].any()),
+        *np.eye(10)[~known_zero],
+    ]
+    return _of_a_body(n, body, values, FREE)
+
+
+def _chosen(
+    own: dict[int, Entry], directions: _Directions
+) -> tuple[_Directions, dict[int, dict[int, float]]]:
+    """Directions for a body's entries, out of free ones.
 
     Returns:
-        By its number, the entry as a combination of others; nothing where a direction is taken.
+        Directions of this body's entries and of those before, each without effect on the
+        others, and those left free; and the entries that are combinations of others.
     """
-    change, free = rows @ form, changed == FREE
-    weights = np.where(free, np.abs(change), 0.0)
-    great = weights.max(initial=0.0)
-    if great <= INDEPENDENT:
-        shares = np.flatnonzero(~free & (np.abs(change) > INDEPENDENT))
-        return {k: {int(changed[i]): float(change[i]) for i in shares}}
-    # the first with this share of the greatest change: the body's own come first
-    first = int(np.argmax(weights >= 0.1 * great))
-    pivot = rows[first] * (1.0 / change[first])
-    rows -= np.outer(change, pivot)
-    rows[first], changed[first] = pivot, k
-    return {}
+    combined = {}
+    for k, entry in own.items():
+        rows, entries, sizes = directions.rows, directions.entries, directions.sizes
+        change = rows[:, :10] @ entry.form
+        weights = np.where(entries == FREE, np.abs(change) / sizes, 0.0)
+        great = weights.max(initial=0.0)
+        if great <= INDEPENDENT:
+            shares = np.flatnonzero((entries != FREE) & (np.abs(change) > INDEPENDENT))
+            combined[k] = {int(entries[i]): float(change[i]) for i in shares}
+            continue
+        # of directions that change an entry, the first with this share of the greatest change is
+        # taken: the body's own come first
+        first = int(np.argmax(weights >= 0.1 * great))
+        pivot = rows[first] * (1.0 / change[first])
+        rest = _Directions(rows - np.outer(change, pivot), entries.copy())
+        rest.rows[first], rest.entries[first] = pivot, k
+        directions = rest.of((rest.entries != FREE) | (rest.sizes > ROUNDING * sizes))
+    return directions, combined
 
 
-def _free(n: int, entries: Sequence[Entry], known_zero: NDArray[np.bool_]) -> Array:
-    """Directions of barycentric parameters, of bodies' entries and single ones, (k, 10 n)."""
-    rows = [np.zeros((0, 10 * n))]
-    for body, zero in enumerate(known_zero):
-        own = (entry.alone for entry in entries if entry.body == body)
-        alone = [each for each in own if not each[zero].any()]
-        values = np.array([*alone, *np.eye(10)[~zero]]).reshape(-1, 10)
-        rows.append(np.pad(values, ((0, 0), (10 * body, 10 * (n - 1 - body)))))
-    return np.concatenate(rows)
+def _passed(directions: _Directions, gain: Array) -> tuple[_Directions, _Directions]:
+    """Directions as they change the carrier.
+
+    Args:
+        directions: Of a body.
+        gain: What its ten redefined parameters add to its carrier's, (10, 10).
+
+    Returns:
+        Those that change an entry and nothing of the carrier; and the others.
+    """
+    rows = np.hstack([directions.rows[:, :10] @ gain.T, directions.rows[:, 10:]])
+    free = directions.entries == FREE
+    places, basis = echelon(rows[free], 10)
+    bound = _Directions(rows - rows[:, places] @ basis, directions.entries).of(~free)
+    done = np.abs(bound.rows[:, :10]).max(axis=1) <= ROUNDING * bound.sizes
+    spare = _Directions(basis, np.full(len(basis), FREE))
+    return bound.of(done), spare.beside(bound.of(~done))
 
 
 def echelon(rows: Array, width: int) -> tuple[list[int], Array]:
