@@ -160,7 +160,8 @@ def payload_from(
     rest = white @ difference - columns @ found
     freedom = max(len(adds) - len(found), 1)
     chance = float(special.chdtrc(freedom, rest @ rest))
-    covariance = seen @ inverse @ seen.T
+    # weights prefer the directions along which an estimated covariance happens to be small
+    covariance = max(1.0, rest @ rest / freedom) * seen @ inverse @ seen.T
     identifiable = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
     payload = PayloadEstimate(
         names=STANDARD,

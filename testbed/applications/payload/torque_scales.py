@@ -2,12 +2,12 @@
 
 A drive reports k times its joint's torque. Bodies tie the joints' torques to one set of parameters,
 and the known mass fixes what they leave open, one scale for all. Gauss-Newton on the products of
-both recordings' rows; standard deviations by what the rows leave, correlated over half a second.
+both recordings' rows; standard deviations by what these leave, as coloured noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,16 +21,17 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.base.stages import Progress, unreported
-from testbed.core.estimation.noise.score_squares import bin_size, hidden, score_squares
+from testbed.core.estimation.noise.fits import weighted_fits
+from testbed.core.estimation.noise.lagged_products import HIGHEST, LaggedSums
+from testbed.core.estimation.noise.replicas import Replicas
+from testbed.core.estimation.noise.whitening import counted
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
     NormalEquations,
     inverse_and_solution,
-    scaled_inverse,
 )
 from testbed.core.estimation.regression.passes import Passes
-from testbed.core.estimation.regression.windows import DENSE
 from testbed.core.estimation.selection.term_choice import with_all_terms
 from testbed.core.estimation.settings import DEFAULTS, Settings, with_sigmas
 from testbed.core.recordings.source import RecordingLike
@@ -155,7 +156,7 @@ def _half(problem: Problem, joint: str, mass: float, number: int) -> _Half:
             "the mass of the payload does not change the torques beside its unknown centre: let "
             "joints turn it against gravity"
         )
-    passes = problem.passes(2, per_cutoff=DENSE)
+    passes = problem.passes(3)
     equations = problem.equations(passes)
     own = np.zeros((2, len(equations.unknowns) - minimal.count))
     own[number] = 1.0
@@ -194,26 +195,30 @@ def _normal(halves: Sequence[_Half], scales: Array, v: Array) -> tuple[Array, Ar
 
 
 def _covariance(halves: Sequence[_Half], scales: Array, v: Array) -> Array:
-    """Of the scales, (n, n), from the scores of all rows."""
-    inverse = scaled_inverse(_normal(halves, scales, v)[0])
-    total = np.zeros_like(inverse)
+    """Of the scales, (n, n), by the linearised rows of both recordings under coloured noise."""
+    sums, n = LaggedSums(HIGHEST), len(scales)
     for half in halves:
-        x, plan = half.lead @ v + half.fixed, half.passes.plan
-        scores, weights = [], half.weights(x, scales)
-        for columns, measured in half.passes.rows(np.eye(len(x))):
-            torque = columns @ x
-            left = weights[:, None] * (measured - scales[:, None] * torque)
-            by_rest = (
-                np.einsum("ct,ctp->tp", left * scales[:, None], columns) @ half.lead
-            )
-            rows = np.hstack([(left * torque).T, by_rest])
-            scores.append(
-                np.add.reduceat(rows, range(0, len(rows), bin_size(plan.rate)))
-            )
-        # rows' worth of freedom, a channel and recording
-        lost = len(inverse) / len(scales) / 2
-        factor = hidden(plan.weights, plan.step, plan.rate) / max(
-            1 - lost / plan.rows, 0.1
-        )
-        total += factor * score_squares(np.vstack(scores), plan.rate)
-    return (inverse @ total @ inverse)[: len(scales), : len(scales)]
+        sums.pause()
+        for rows in _linearised(half, scales, v):
+            sums.add(rows)
+    given = sums.finish()
+    (fit,) = weighted_fits(given)
+    replicas = Replicas(fit.noise)
+    for half in halves:
+        replicas.pause()
+        for rows in _linearised(half, scales, v):
+            replicas.add(rows[..., :-2], rows[..., -1])
+    squares = replicas.squares(weighted_fits, np.eye(given.unknowns))
+    return max(1.0, float(squares.mean())) * fit.covariance[:n, :n]
+
+
+def _linearised(half: _Half, scales: Array, v: Array) -> Iterator[Array]:
+    """Columns of scales and v, residuals, in units of noise, and ones, (C, k, n + m + 2)."""
+    x, k = half.lead @ v + half.fixed, scales[:, None, None]
+    root = np.sqrt(half.weights(x, scales))[:, None, None]
+    for columns, measured in half.passes.rows(np.eye(len(x))):
+        torque = (columns @ x)[..., None]
+        by_scale = torque * np.eye(len(scales))[:, None]
+        rows = [by_scale, k * columns @ half.lead, measured[..., None] - k * torque]
+        ones = counted(columns, measured)[..., None]
+        yield np.concatenate([*(root * each for each in rows), ones], axis=2)

@@ -7,7 +7,8 @@ together over neighbouring rows.
 
 Residuals are not the noise: unknowns have taken a part of it, of each channel and at each
 frequency another. Of generalised least squares the part is known, E r r' = E e e' - X G X' with G
-the unknowns' covariance, and it is added: restricted maximum likelihood, in turns.
+the unknowns' covariance, and it is added: restricted maximum likelihood, in turns. So it is at
+each lag of rows with gaps, as if their noise were white.
 
 Columns of the products: the unknowns' columns, then the residuals, then ones where a row
 counts. Rows come in units in which every channel's noise is about one. R residuals beside the
@@ -131,10 +132,11 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     m, now = given.unknowns, given.up_to(0)
     counts = given.products[:, :, -1, -1].T  # (C, K + 1)
     weighted = _weighted(now, np.maximum(counts[:, 0], 1.0))
-    squares = given.squares(_of_residuals(given, weighted.values))
-    # (R, C, K + 1)
-    covariances = squares / np.maximum(counts - weighted.taken[..., None], 1.0)
+    covariances = given.traces(_noise_squares(given, weighted))
+    covariances /= np.maximum(counts, 1.0)  # (R, C, K + 1)
     covariances[..., 0] = weighted.spread**2  # which is not zero
+    for each in covariances:
+        _forget(each, int(np.mean(counts[:, 0])))
     weights = weighted.spread[..., None] ** -4.0 * covariances
     least = now.sums(weights[..., :1])
     weights[..., 1:] *= 2  # a lag's products, and their transpose
@@ -238,14 +240,16 @@ def _spread(squares: Array, free: Array) -> Array:
 
 
 def _moments(given: LaggedProducts, weighted: _Weighted, order: int) -> Array:
-    """e_(t-i) e_(t-j) summed over t >= order, of the noise e, (R, C, order + 1, order + 1).
-
-    Those of the residuals, what the unknowns have taken of the noise, and the least noise.
-    """
-    m, inner = given.unknowns, _squares(_of_residuals(given, weighted.values))
-    inner[:, :m, :m] += weighted.inverse
+    """e_(t-i) e_(t-j) summed over t >= order, of the noise e, (R, C, order + 1, order + 1)."""
     least = LEAST**2 * given.after(order) * np.eye(order + 1)
-    return given.moments(inner, order) + least
+    return given.moments(_noise_squares(given, weighted), order) + least
+
+
+def _noise_squares(given: LaggedProducts, weighted: _Weighted) -> Array:
+    """B b' of the residuals, and what the unknowns have taken of the noise, (R, q, q)."""
+    m, squares = given.unknowns, _squares(_of_residuals(given, weighted.values))
+    squares[:, :m, :m] += weighted.inverse
+    return squares
 
 
 def _of_residuals(given: LaggedProducts, values: Array) -> Array:
@@ -264,10 +268,35 @@ def _squares(combinations: Array) -> Array:
     return combinations[:, :, None] * combinations[:, None, :]
 
 
+def _forget(covariances: Array, rows: int) -> None:
+    """Replace autocovariances beyond the order of the best autoregression by what it makes of them.
+
+    Those of few rows are mostly error, and the variance of a slow column adds up all their errors.
+
+    Args:
+        covariances: Of the channels, (C, K + 1).
+        rows: How many each is the mean of.
+
+    Source    [dHL97]
+    """
+    highest = covariances.shape[1] - 1
+    moments = _toeplitz(covariances, highest)
+    order = best_order(moments, rows, highest)
+    coefficients = fit(moments, order)[:, ::-1]
+    for lag in range(order + 1, highest + 1):
+        before = covariances[:, lag - order : lag]
+        covariances[:, lag] = (coefficients * before).sum(axis=1)
+
+
+def _toeplitz(covariances: Array, order: int) -> Array:
+    """Moments of autocovariances, (C, K + 1): (C, order + 1, order + 1)."""
+    lag = np.arange(order + 1)
+    return covariances[:, np.abs(np.subtract.outer(lag, lag))]
+
+
 def _from_covariances(covariances: Array, order: int) -> Autoregression:
     """The autoregression of given autocovariances, (C, K + 1), by Yule and Walker."""
-    lag = np.abs(np.subtract.outer(np.arange(order + 1), np.arange(order + 1)))
-    moments = covariances[:, lag]
+    moments = _toeplitz(covariances, order)
     coefficients = fit(moments, order)
     variance = innovation_variance(moments, coefficients)
     return Autoregression(coefficients, np.sqrt(np.maximum(variance, 0.0)))
