@@ -253,10 +253,21 @@ def fit_with_noise(equations: NormalEquations, noise: Array, least: Array) -> Pr
         least: Least values of z, (r,).
     """
     weights = np.where(equations.used > 0, 1 / (REPEATED * noise), 0.0)
-    normal: Array = equations.matrix(weights) + np.eye(len(least))
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    z = _bounded(covariance @ equations.vector(weights), covariance, least)
-    return PriorFit(z, covariance, noise)
+    normal, right = equations.matrix(weights), equations.vector(weights)
+    return PriorFit(*conditioned(normal, right, least), noise)
+
+
+def conditioned(normal: Array, right: Array, least: Array) -> tuple[Array, Array]:
+    """Coordinates of a prior with data: likeliest z above its bounds, (r,); covariance, (r, r).
+
+    Args:
+        normal: Information of the data on z, (r, r).
+        right: Information times the z that the data alone would have, (r,).
+        least: Least values of z, (r,).
+    """
+    matrix = np.asarray(normal + np.eye(len(least)), dtype=np.float64)
+    covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    return _bounded(covariance @ right, covariance, least), covariance
 
 
 def _bounded(free: Array, covariance: Array, least: Array) -> Array:

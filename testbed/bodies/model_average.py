@@ -17,12 +17,18 @@ from testbed.bodies.linear_prior import (
     REPEATED,
     LinearPrior,
     PriorFit,
+    conditioned,
     fit_of_noise,
     fit_with_noise,
 )
 from testbed.bodies.row_products import RowParts, RowProducts
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.estimation.regression.normal_equations import (
+    TINY,
+    NormalEquations,
+    scaled_inverse,
+)
 
 PRIOR_ERRORS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Relative errors of the bodies: from a file that is right to one that says next to nothing."""
@@ -79,6 +85,33 @@ class ModelAverage:
         if rows not in self.by_rows:
             return self.weights @ _values(rows, self.prior, self.errors, self.noise)
         return self.weights @ self.by_rows[rows]
+
+    def conditioned_on(self, estimate: Estimate) -> ModelAverage:
+        """The same average by the information of least squares, which weigh correlated noise.
+
+        Args:
+            estimate: Estimate of the same unknowns by generalised least squares.
+        """
+        information = scaled_inverse(np.array(estimate.covariance))
+        left = estimate.values - self.prior.mean
+
+        def fit(error: float) -> tuple[Array, Array, Array]:
+            root = self.prior.times(error).root
+            normal, right = root.T @ information @ root, root.T @ information @ left
+            return root, *conditioned(normal, right, self.prior.least)
+
+        wide = (
+            self.errors if len(self.errors) == 1 else np.maximum(self.errors, REFERENCE)
+        )
+        values = np.array([root @ z for root, z, _ in map(fit, self.errors.tolist())])
+        apart = values - self.weights @ values
+        covariance = (self.weights * apart.T) @ apart
+        for weight, (root, _, own) in zip(
+            self.weights, map(fit, wide.tolist()), strict=True
+        ):
+            covariance += weight * root @ own @ root.T
+        mean = self.prior.mean + self.weights @ values
+        return replace(self, values=mean, covariance=covariance)
 
 
 def model_average(

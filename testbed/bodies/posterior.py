@@ -50,6 +50,9 @@ from testbed.core.estimation.regression.normal_equations import TINY, scaled_sol
 from testbed.core.estimation.regression.solvers import noise_weights
 from testbed.sensors.corrected import corrected
 
+WELL_CONDITIONED = 100.0
+"""Condition number of equations with unit columns that excite all unknowns."""
+
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Posterior(EstimateSummary):
@@ -192,6 +195,8 @@ def posterior(
         reference = before.times(REFERENCE)
         errors = PRIOR_ERRORS if prior_error is None else (prior_error,)
         fit = model_average(rows, before, errors)
+        if well_conditioned(estimate):
+            fit = fit.conditioned_on(estimate)
         alone = tuple(alone_determined(whole, reference).tolist())
         answer: ModelAverage | Estimate = fit
         if determines(estimate, reference) and whole.enough.all():
@@ -262,6 +267,17 @@ def file_values(problem: Problem, prior: Prior) -> Array:
     )
     values[: minimal.count] += minimal.standard_matrix @ prior.standard.ravel()
     return values
+
+
+def well_conditioned(estimate: Estimate | None) -> TypeGuard[Estimate]:
+    """Whether data excite all unknowns, so that least squares know the noise's correlation.
+
+    Args:
+        estimate: By least squares; None where the data determine none.
+    """
+    if estimate is None:
+        return False
+    return estimate.condition < WELL_CONDITIONED and bool((estimate.sigma > 0).all())
 
 
 def determines(estimate: Estimate | None, prior: LinearPrior) -> TypeGuard[Estimate]:
