@@ -23,7 +23,7 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.robots import BODY, _log_prior, elliptical_slices
 from testbed.bodies.estimate_summary import estimate_of_summary
 from testbed.bodies.linear_prior import LinearPrior, alone_determined, with_prior
-from testbed.bodies.posterior import Posterior, posterior, rows_of
+from testbed.bodies.posterior import WELL_CONDITIONED, Posterior, posterior, rows_of
 from testbed.bodies.prediction_errors import PredictionErrors, errors_of_another
 from testbed.bodies.prior import Prior, prior_of
 from testbed.bodies.row_products import FREEDOM, RowProducts, products_of
@@ -185,6 +185,15 @@ def test_where_the_data_determine_all_nothing_moves() -> None:
     assert found.determined == estimate.names
     np.testing.assert_array_equal(found.values, estimate.values)
     np.testing.assert_array_equal(found.covariance, estimate.covariance)
+
+
+def test_a_file_that_says_nothing_leaves_least_squares_with_their_noise() -> None:
+    """Well-conditioned torques: values and covariance of correlated noise, friction positive."""
+    estimate, found = added(1.0, "internal", error=30.0)
+    assert found.used
+    assert estimate.condition < WELL_CONDITIONED
+    assert (np.abs(found.values - estimate.values) < 0.01 * estimate.sigma).all()
+    np.testing.assert_allclose(found.sigma, estimate.sigma, rtol=1e-2)
 
 
 @pytest.mark.slow
