@@ -71,8 +71,8 @@ def identifiability(
     else:
         named = [("force sensor", plate), ("force sensor, tared", tared)]
     return tuple(
-        Visibility(name, told.rows.shape[0], told.of(units, back).reshape(tree.n, 10))
-        for name, told in named
+        Visibility(name, seen.rows.shape[0], seen.of(units, back).reshape(tree.n, 10))
+        for name, seen in named
     )
 
 
