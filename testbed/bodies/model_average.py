@@ -54,7 +54,7 @@ SIZE = 0.15
 
 @dataclass(frozen=True, eq=False)
 class ModelAverage:
-    """Average of fits with priors of several strengths.
+    """Weighted mean and covariance of estimates by priors of several relative errors.
 
     Attributes:
         prior: Prior with an error of one.
@@ -87,7 +87,9 @@ class ModelAverage:
         return self.weights @ self.by_rows[rows]
 
     def conditioned_on(self, estimate: Estimate) -> ModelAverage:
-        """The same average by the information of least squares, which weigh correlated noise.
+        """Average conditioned on a generalised least-squares estimate instead of the rows.
+
+        Its information counts correlated noise; the weights of the fits stay.
 
         Args:
             estimate: Estimate of the same unknowns by generalised least squares.
@@ -95,22 +97,15 @@ class ModelAverage:
         information = scaled_inverse(np.array(estimate.covariance))
         left = estimate.values - self.prior.mean
 
-        def fit(error: float) -> tuple[Array, Array, Array]:
+        def fit(error: float) -> tuple[Array, Array]:
             root = self.prior.times(error).root
             normal, right = root.T @ information @ root, root.T @ information @ left
-            return root, *conditioned(normal, right, self.prior.least)
+            z, covariance = conditioned(normal, right, self.prior.least)
+            return self.prior.mean + root @ z, root @ covariance @ root.T
 
-        wide = (
-            self.errors if len(self.errors) == 1 else np.maximum(self.errors, REFERENCE)
-        )
-        values = np.array([root @ z for root, z, _ in map(fit, self.errors.tolist())])
-        apart = values - self.weights @ values
-        covariance = (self.weights * apart.T) @ apart
-        for weight, (root, _, own) in zip(
-            self.weights, map(fit, wide.tolist()), strict=True
-        ):
-            covariance += weight * root @ own @ root.T
-        mean = self.prior.mean + self.weights @ values
+        values = np.array([fit(error)[0] for error in self.errors.tolist()])
+        spreads = np.array([fit(error)[1] for error in _unseen(self.errors).tolist()])
+        mean, covariance = _mixture(self.weights, values, spreads)
         return replace(self, values=mean, covariance=covariance)
 
 
@@ -137,67 +132,90 @@ def model_average(
     if len(sizes) > 1:
         by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in parts.folds}
         weights = _weights(_losses(parts, prior, sizes, noise, by_rows), sizes)
-    z = np.array([prior.scale(e) * fit.z for e, fit in zip(errors, fits, strict=True)])
-    apart, best = z - weights @ z, int(weights.argmax())
-    noise_of_scores = noise * _excess(parts, prior, fits[best], errors[best])
-    wide = _refitted(equations, prior, sizes, noise_of_scores)
-    error = _file_error(wide, sizes, weights, prior) if len(sizes) > 1 else errors[0]
-    if len(sizes) > 1:  # no evidence says how wrong bodies are that no row shows
-        sizes = np.maximum(sizes, REFERENCE)
-        wide = _refitted(equations, prior, sizes, noise_of_scores)
-    covariance = (weights * apart.T) @ apart
-    for weight, size, fit in zip(weights, sizes.tolist(), wide, strict=True):
-        covariance += weight * _unscaled(fit.covariance, prior, size)
-    return ModelAverage(
-        prior,
-        np.array(errors),
-        weights,
-        noise,
-        prior.mean + prior.root @ (weights @ z),
-        prior.root @ covariance @ prior.root.T,
-        error,
-        by_rows,
-    )
+    best = int(weights.argmax())
+    wider = noise * _excess(parts, equations, prior, fits[best], errors[best])
+    error = errors[0]
+    if len(sizes) > 1:
+        wide = _refitted(equations, prior, sizes, wider)
+        error = _file_error(wide, sizes, weights, prior)
+    unseen = _unseen(sizes)
+    roots = [prior.times(each).root for each in unseen.tolist()]
+    wide = _refitted(equations, prior, unseen, wider)
+    spreads = [
+        root @ fit.covariance @ root.T for root, fit in zip(roots, wide, strict=True)
+    ]
+    pairs = zip(errors, fits, strict=True)
+    values = [prior.mean + prior.times(e).root @ fit.z for e, fit in pairs]
+    mean, covariance = _mixture(weights, np.array(values), np.array(spreads))
+    return ModelAverage(prior, sizes, weights, noise, mean, covariance, error, by_rows)
+
+
+def _unseen(errors: Array) -> Array:
+    """Errors of bodies that no row shows, (k,): at least those of any file.
+
+    A single error is the one that was asked for.
+    """
+    return errors if len(errors) == 1 else np.maximum(errors, REFERENCE)
+
+
+def _mixture(weights: Array, values: Array, covariances: Array) -> tuple[Array, Array]:
+    """Mean, (p,), and covariance, (p, p), of a mixture of k Gaussian distributions.
+
+    Args:
+        weights: Weights, (k,), whose sum is one.
+        values: Means, (k, p).
+        covariances: Covariances, (k, p, p).
+    """
+    mean = weights @ values
+    apart = values - mean
+    within = np.einsum("k,kij->ij", weights, covariances)
+    return mean, within + (weights * apart.T) @ apart
 
 
 def _refitted(
     equations: NormalEquations, prior: LinearPrior, errors: Array, noise: Array
 ) -> list[PriorFit]:
-    """Fits with other errors of the bodies and variances of noise, (k, C)."""
+    """Fits with other errors of the bodies, (k,), and other variances of noise, (k, C)."""
     return [
         fit_with_noise(_scaled(equations, prior, error), own, prior.least)
         for error, own in zip(errors.tolist(), noise, strict=True)
     ]
 
 
-def _unscaled(covariance: Array, prior: LinearPrior, error: float) -> Array:
-    """Covariance in z of the prior with an error of one, (r, r)."""
-    scale = prior.scale(error)
-    return np.outer(scale, scale) * covariance
-
-
-def _excess(parts: RowParts, prior: LinearPrior, fit: PriorFit, error: float) -> Array:
+def _excess(
+    parts: RowParts,
+    equations: NormalEquations,
+    prior: LinearPrior,
+    fit: PriorFit,
+    error: float,
+) -> Array:
     """Scatter of the parts' scores over that of white noise, by channel, (C,); at least one.
 
     Correlated noise and what the model leaves out make it larger.
 
     Source    [LZ86]
+
+    Args:
+        parts: Rows of the recording.
+        equations: Normal equations of all rows in z of the prior with an error of one.
+        prior: Prior with an error of one.
+        fit: Fit with another error.
+        error: Relative error of the bodies in that fit.
     """
-    values = prior.mean + prior.root @ (prior.scale(error) * fit.z)
-    constants = parts.whole.constants(values)[:, None]
+    root, whole = prior.times(error).root, parts.whole
+    values = prior.mean + root @ fit.z
+    constants = whole.constants(values)[:, None]
     ones = np.ones_like(constants)
     left = np.hstack([-values * ones, -constants, ones])
-    whole = parts.whole
     means = whole.products[:, -2, :-2] / np.maximum(whole.rows, 1.0)[:, None]
     scores = []
     for part in parts.each:
         sums = np.einsum("cij,cj->ci", part.products[:, :-1], left)
         own = sums[:, :-1] - parts.offset * means * sums[:, -1:]
-        scores.append(own @ prior.root)
-    covariance = _unscaled(fit.covariance, prior, error)
-    scatter = np.einsum("kci,ij,kcj->c", scores, covariance, scores)
-    normal = whole.equations(prior.root, prior.mean).normal
-    white = REPEATED * np.einsum("cij,ji->c", normal, covariance)
+        scores.append(own @ root)
+    scatter = np.einsum("kci,ij,kcj->c", scores, fit.covariance, scores)
+    normal = _scaled(equations, prior, error).normal
+    white = REPEATED * np.einsum("cij,ji->c", normal, fit.covariance)
     excess = np.where(white > TINY, scatter / np.maximum(white, TINY), 0.0) / fit.noise
     return np.asarray(np.maximum(excess, 1.0))
 
@@ -245,7 +263,7 @@ def _losses(
     noise: Array,
     by_rows: Mapping[RowProducts, Array],
 ) -> Array:
-    """Losses of held-out parts by fit, (parts, k): averages over blocks of all lengths.
+    """Losses of held-out parts by fit, (parts, k), averaged over the block lengths.
 
     Parts without rows are left out.
     """
@@ -262,7 +280,7 @@ def _losses(
 
 
 def _loss(part: RowProducts, values: Array, noise: Array) -> Array:
-    """Logarithms of a part's mean squares in units of the noise, by fit, (k,)."""
+    """Logarithms of mean squared prediction errors over the noise's variance, by fit, (k,)."""
     squares = np.array([part.squares(each, part.constants(each)) for each in values])
     loss: Array = np.log(
         np.maximum((squares / noise).sum(axis=1) / part.rows.sum(), TINY)
