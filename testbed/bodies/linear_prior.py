@@ -142,7 +142,7 @@ def _terms_prior(
 
 
 def _thickened(prior: Prior) -> Prior:
-    """Prior whose bodies are not slender."""
+    """Prior with bodies whose second moments are at least ROUNDEST of their greatest one."""
     bodies = np.array(prior.standard)
     for k in prior.massive:
         body = Inertia.of_pseudo(matrices(bodies[k]))
@@ -209,7 +209,7 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class PriorFit:
-    """Least squares with a prior in the coordinates z of the prior.
+    """Posterior mean and covariance of a Gaussian prior's coordinates z, without units.
 
     Attributes:
         z: Estimate, (r,).

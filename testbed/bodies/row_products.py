@@ -121,7 +121,7 @@ def _inner(products: Array, ends: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RowParts:
-    """Products of consecutive parts of a recording's rows.
+    """Gram matrices of the regressor's rows and measurements, by consecutive parts of a recording.
 
     Attributes:
         problem: Problem whose rows they are.
@@ -202,7 +202,7 @@ def products_of(
     whole: bool = False,
     per_cutoff: float = DENSE,
 ) -> RowParts:
-    """Products of a recording's rows, by one pass.
+    """Gram matrices of the regressor's rows and measurements, by parts of a recording.
 
     Args:
         problem: Robot, recording and method.

@@ -25,11 +25,11 @@ _OF_NEAR, _OF_FAR = (1 / (8 * np.sin(shift / 2) ** 2) for shift in (_NEAR, _FAR)
 
 @dataclass(frozen=True, eq=False)
 class Stencil:
-    """Where to look around a motion, and how much each look counts.
+    """Finite-difference stencil in joint positions, velocities and accelerations.
 
     Attributes:
-        shifts: Of (q, qd, qdd), (E, 3, n); the first is none.
-        weights: Derivatives by q, then qd, then qdd, of what is seen there, (3 n, E).
+        shifts: Displacements of (q, qd, qdd), (E, 3, n); the first is zero.
+        weights: Derivatives by q, then qd, then qdd, of values at the shifts, (3 n, E).
     """
 
     shifts: Array
@@ -40,7 +40,7 @@ class Stencil:
         freeze(self, weights=(3 * self.shifts.shape[2], len(self.shifts)))
 
     def around(self, motion: Motion) -> Motion:
-        """All looks at a motion of M samples, one after the other, E M samples."""
+        """Motion of M samples displaced by each of the E shifts in turn, E M samples."""
         states = np.stack([motion.q, motion.qd, motion.qdd])
         moved = states + self.shifts[:, :, None, :]  # (E, 3, M, n)
         flat = moved.transpose(1, 0, 2, 3).reshape(3, -1, states.shape[2])

@@ -73,7 +73,7 @@ def force_bounds(tree: Tree, motion: Array) -> ForceBounds:
 
 @dataclass(frozen=True, eq=False)
 class _Moving:
-    """Jets of a body's motion, (3, W) each, in its own axes."""
+    """Bounds of a body's motion and of its first two time derivatives, (3, W) each, in its axes."""
 
     speed: Array  # angular velocity
     angular: Array  # angular acceleration
@@ -83,12 +83,17 @@ class _Moving:
 
     @property
     def turning(self) -> Array:
-        """What a point a metre away has more of acceleration."""
+        """Bound of the acceleration relative to the origin, per metre of distance [1/s^2]."""
         return self.angular + _times(self.speed, self.speed)
 
 
 def _jets(tree: Tree, motion: Array) -> list[_Moving]:
-    """Jets of all bodies, of bounds of their joints' derivatives, (5, n, W)."""
+    """Bounds of the motion of all bodies over W time intervals.
+
+    Args:
+        tree: Robot.
+        motion: Bounds of joint positions and their four derivatives, (5, n, W) [rad or m, s].
+    """
     still, falling = np.zeros((2, 3, motion.shape[2]))
     falling[0] = np.linalg.norm(tree.gravity)
     ground = _Moving(still, still, falling, still, still)
@@ -100,7 +105,7 @@ def _jets(tree: Tree, motion: Array) -> list[_Moving]:
 
 
 def _carried(joint: Joint, carrier: _Moving, own: Array) -> _Moving:
-    """The jets of a body on its carrier; `own` are bounds of its joint's derivatives, (5, W)."""
+    """Bounds of a body's motion by its carrier's and by its joint's, (5, W)."""
     position, speed, acceleration = own[:3], own[1:4], own[2:5]
     lever = np.zeros_like(position)
     lever[0] = np.linalg.norm(joint.offset)

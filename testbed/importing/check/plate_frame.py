@@ -18,7 +18,7 @@ from testbed.importing.foreign_table import FORCES, MOMENTS, plain
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """How a mapping has read the plate.
+    """Frame and units by which a mapping reads the force plate.
 
     Attributes:
         turn: Of the sensor's frame, (3, 3).
@@ -32,7 +32,7 @@ class Frame:
 
     @cached_property
     def map_inverse(self) -> Array:
-        """The wrench in the sensor's frame of one in the bedplate's, (6, 6)."""
+        """Matrix from wrenches in the bedplate's frame to the sensor's frame, (6, 6)."""
         return Transform(self.turn, self.place).inverse.wrench_matrix
 
     def map(
@@ -42,7 +42,9 @@ class Frame:
         order: Sequence[int],
         ratio: float = 1.0,
     ) -> Array:
-        """The wrench in the bedplate's frame by another reading, of that by this one, (6, 6).
+        """Matrix from wrenches read by this frame to wrenches read by another one, (6, 6).
+
+        Both are along and about the bedplate's frame [N, N m].
 
         Args:
             turn: Of the sensor's frame, (3, 3).
@@ -57,7 +59,7 @@ class Frame:
 
 
 def frame_of(mapping: Mapping[str, Any]) -> Frame:
-    """How a mapping has read its plate; as the bedplate's own where it has none, or several.
+    """Frame and units of a mapping's only force plate; else the bedplate's own frame in SI.
 
     Args:
         mapping: What the recording's mapping file says; empty if it has none.
@@ -72,7 +74,7 @@ def frame_of(mapping: Mapping[str, Any]) -> Frame:
 
 
 def unit_ratio(units: tuple[str, str]) -> float:
-    """What one of a moment's unit is in SI, for one of a force's.
+    """Unit of moments over unit of forces [m].
 
     Args:
         units: Of forces and moments.

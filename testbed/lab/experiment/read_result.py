@@ -160,7 +160,7 @@ def _estimates(
 def _by_method(
     kind: type[Part], content: Any, path: Path, part: str = ""
 ) -> dict[Method, Part]:
-    """Read one estimate a method; of what is no object, none."""
+    """Read the estimates of a JSON object by method; {} where the content is no object."""
     every = content if isinstance(content, dict) else {}
     there = [method for method in METHODS if method in every]
     return {m: _decoded(kind, every[m], f"{path}: {m}{part}") for m in there}

@@ -212,10 +212,10 @@ class RobotTables(StrictTable):
         return {name: table.sensor(name) for name, table in own.items()}
 
     def sensed(self, tree: Tree) -> Tree:
-        """What the wrench is of: the whole robot, or what lies beyond a force sensor.
+        """Part of a robot whose wrench is measured: all, or the links beyond a force sensor.
 
         Args:
-            tree: The robot.
+            tree: Whole robot.
 
         Raises:
             UnknownName: The model file has no such link.

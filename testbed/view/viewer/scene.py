@@ -140,7 +140,7 @@ def safe(name: str) -> str:
 
 
 def entity(at: str, channel: Channel) -> str:
-    """Path of a channel's curves among the entities below a root."""
+    """Rerun entity path of a channel's time series below a parent path."""
     return f"{at}/{channel.kind}/{safe(channel.name)}"
 
 
