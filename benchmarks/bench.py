@@ -25,6 +25,7 @@ import typer
 from scipy.signal import lfilter
 
 import testbed as tb
+from benchmarks import inverse_recordings
 from benchmarks.fault_trials import trials
 from benchmarks.inverse_recordings import inverse, on_a_free_base, real_robot
 from benchmarks.lines import print_lines
@@ -178,8 +179,9 @@ def happen(folder: Path, robot: str, seed: int) -> Happened:
         seed: Of all of it.
     """
     rng = np.random.default_rng([seed, 9])
-    urdf = _text(real_robot(ROBOTS[robot], rng, 0.0, 0.0))
-    real = real_robot(ROBOTS[robot], rng, 0.15, 0.02)
+    given = inverse_recordings.ROBOTS[ROBOTS[robot]]
+    urdf = _text(real_robot(*given, rng, 0.0, 0.0))
+    real = real_robot(*given, rng, 0.15, 0.02)
     file = folder / f"truth/{robot}-{seed:02d}.urdf"
     file.write_text(urdf)
     tree = tb.load_tree(file)

@@ -81,7 +81,7 @@ def truth(
     """
     rng = np.random.default_rng(seed)
     tree = tree_of(name)
-    model = on_a_free_base(real_robot(name, rng, ROUGH, OFF))
+    model = on_a_free_base(real_robot(*ROBOTS[name], rng, ROUGH, OFF))
     motion = _motion(tree, rng)
     if moving is not None:
         motion[1][[k for k in range(tree.n) if k not in moving]] = 0
@@ -104,7 +104,7 @@ def truth(
 
 
 def real_robot(
-    name: str, rng: np.random.Generator, rough: float, off: float
+    path: Path, held: Sequence[str], rng: np.random.Generator, rough: float, off: float
 ) -> ElementTree.Element:
     """A robot's URDF, its masses and centres changed: bodies without shapes, a base without mass.
 
@@ -112,12 +112,12 @@ def real_robot(
     keep their shape.
 
     Args:
-        name: One of `ROBOTS`.
+        path: The URDF.
+        held: Joints that are held at zero.
         rng: Of the changes.
         rough: Standard deviation of masses, relative.
         off: Of centres, along each axis [m].
     """
-    path, held = ROBOTS[name]
     robot = ElementTree.parse(path).getroot()
     links = {str(link.get("name")): link for link in robot.findall("link")}
     joints = robot.findall("joint")

@@ -14,7 +14,6 @@ import numpy as np
 import typer
 
 import testbed as tb
-from benchmarks.inverse_recordings import RATE
 from benchmarks.judged_mappings import MARKS
 from benchmarks.lines import print_lines
 from testbed.core.base.diagnostics import sentences
@@ -22,8 +21,9 @@ from testbed.core.recordings.metadata import Metadata
 from testbed.importing.check.check import assess
 from testbed.importing.check.remedies import with_lines
 from testbed.importing.convert import pieces
+from testbed.importing.foreign_table import KINDS
 from testbed.importing.mapping import SignalTable
-from testbed.importing.signal_maps import joint_signal
+from testbed.importing.signal_maps import EFFORTS, joint_signal
 from tests.helpers.paths import ROOT
 
 OPEN = ("equally explained", "do not decide", *MARKS)
@@ -38,15 +38,28 @@ def tx40() -> Iterator[dict[str, Any]]:
     tree = tb.load_tree(folder / "tx40.urdf")
     (pieced,), _ = pieces(folder / "tx40.toml")
     real = pieced.part(0, pieced.samples).ordered(tree)
-    right: dict[str, Any] = {"joints": list(tree.names)} | {
-        signal: {"source": "log", "columns": [f"{k}" for k in range(tree.n)], "unit": unit,
-                 "sign": [1] * tree.n, "offset": [0.0] * tree.n}
-        for signal, unit in (("position", "rad"), ("torque", "N m"))
-    }  # fmt: skip
+    right = mapping_of(tree, real)
     yield _held_against(tree, real, "as given", right, right)
     for words, signal, key, value in _mistakes(tree.n, right):
         wrong = {**right, signal: {**right[signal], key: value}}
         yield _held_against(tree, real, words, right, wrong)
+
+
+def mapping_of(tree: tb.Tree, real: tb.Recording) -> dict[str, Any]:
+    """A mapping that leaves a recording's columns as they are.
+
+    Args:
+        tree: The robot.
+        real: Its recording, the joints in the tree's order.
+    """
+    slides = np.array([not joint.revolute for joint in tree.joints])
+    units = {"position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "torque": ("N m", "N")}
+    return {"joints": list(tree.names)} | {
+        signal: {"source": "log", "columns": [f"{k}" for k in range(tree.n)],
+                 "unit": np.where(slides, *pair[::-1]).tolist(), "sign": [1] * tree.n,
+                 "offset": [0.0] * tree.n}
+        for signal, pair in units.items() if signal in real.signals
+    }  # fmt: skip
 
 
 def _mistakes(n: int, right: dict[str, Any]) -> Iterator[tuple[str, str, str, list[Any]]]:
@@ -88,12 +101,13 @@ def _held_against(
 
 def recorded(real: tb.Recording, mapping: dict[str, Any]) -> tb.Recording:
     """The recording that a mapping makes of a file's columns."""
-    time = np.arange(real.samples) / RATE
     signals: dict[str, Any] = {}
-    for kind in ("position", "torque"):
+    for kind in (each for each in KINDS if each in mapping):
         values = real.measured(kind)[:, [int(column) for column in mapping[kind]["columns"]]]
         signals[kind] = joint_signal(kind, SignalTable(**mapping[kind]), None, values)
-    return tb.Recording(real.names, time, **signals, metadata=Metadata(mapping=mapping))
+    currents = EFFORTS.get(mapping["torque"]["unit"][0], "torque")
+    metadata = Metadata(mapping=mapping, effort=dict.fromkeys(real.names, currents))
+    return tb.Recording(real.names, real.time, **signals, metadata=metadata)
 
 
 def main() -> None:

@@ -1,0 +1,177 @@
+"""Planted causes, and what the check of joint torques against the robot's file makes of them.
+
+Recordings are those of `planted_recordings`. An answer is right where the recording that its lines
+make is the true one: positions but for zeros that no data tell, senses and order of torques, ratios
+of gains, gravity, delay. It is silent where it proposes nothing, equal where it proposes another
+cause and says that others explain as much, wrong otherwise.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from benchmarks.lines import print_lines
+from benchmarks.mistakes import OPEN, recorded
+from benchmarks.planted_recordings import KINDS, ROBOTS, Planted, cases
+from testbed.core.base.diagnostics import sentences
+from testbed.importing.check.check import Assessment, assess
+from testbed.importing.check.remedies import with_lines
+
+ANGLE, SIGMAS = 3.0, 4.0
+"""Error of gravity's direction that is good enough, the larger of both [deg, sigmas]."""
+
+SIZE, GAIN = 0.1, 0.2
+"""The same of gravity's size over 9.81 m/s^2, and of a gain, logarithm of its ratio to others."""
+
+DELAY, MOMENT = 0.4, 2e-3
+"""The same of a delay, the sum of a part of it and of a time [s]."""
+
+DRIVES = 0.02
+"""By so much real torques may be late by themselves [s]."""
+
+GRAVITY = ("gravity", "gravity_removed")
+"""Kinds of remedies that accuse gravity."""
+
+RESULTS = ("right", "silent", "equal", "wrong")
+MOST_WRONG = 0.01
+
+
+def judged(case: Planted) -> dict[str, Any]:
+    """What the check says first and proposes of a recording, and how good that is.
+
+    Args:
+        case: The recording.
+    """
+    start = time.process_time()
+    found = assess(case.tree, recorded(case.real, case.told))
+    spent = time.process_time() - start
+    lines = [line for remedy in found.remedies for line in remedy.lines]
+    mapping = with_lines(case.told, lines)
+    mapping |= mapping.pop("", {})  # keys above all tables
+    kinds = {each.kind for each in found.remedies}
+    close, error, sigma = _gravity(case, mapping, found)
+    close = close and ("gravity_removed" in kinds) == case.removed
+    close = close and _same_signals(case, mapping) and _same_delay(case, mapping)
+    close = close and _same_gains(case, mapping, changed="torque_size" in kinds)
+    level = bool(np.allclose(case.right["gravity"], case.tree.gravity)) and not case.removed
+    return {
+        "robot": case.robot, "kind": case.kind, "planted": case.what,
+        "result": _result(found, close),
+        "proposed": [f"{each.kind} {', '.join(each.joints)} {_short(each.values)}"
+                     for each in found.remedies],
+        "first": next(iter(sentences(found.diagnostics[:1])), ""), "equals": list(found.equals),
+        "gravity_deg": error, "sigma_deg": sigma,
+        "accused": bool(kinds & {*GRAVITY}) if level else None,
+        "currents": "gain" in case.told["torque"], "velocity": "velocity" in case.told,
+        "seconds": round(float(np.ptp(case.real.time)), 1), "cpu_s": round(spent, 2),
+    }  # fmt: skip
+
+
+def _result(found: Assessment, close: bool) -> str:
+    """One of `RESULTS`; `close`: whether the recording is the true one with what is proposed."""
+    if not found.remedies:
+        return "right" if close and not found.certain else "silent"
+    if close:
+        return "right"
+    text = " ".join(sentences(found.diagnostics))
+    return "equal" if found.equals or any(word in text for word in OPEN) else "wrong"
+
+
+def _gravity(
+    case: Planted, mapping: dict[str, Any], found: Assessment
+) -> tuple[bool, float | None, float | None]:
+    """Whether gravity is the true one; error and sigma of its direction, if proposed [deg]."""
+    made = np.array(mapping.get("gravity", case.tree.gravity))
+    true = np.array(case.right["gravity"])
+    close = bool(abs(np.linalg.norm(made) - np.linalg.norm(true)) < SIZE * 9.81)
+    proposed = [each for each in found.remedies if each.kind == "gravity"]
+    sigma = getattr(proposed[0], "sigma", None) if proposed else None
+    if not made.any() or not true.any():
+        return close, None, sigma
+    error = float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(made, true)), made @ true)))
+    close = close and error < max(ANGLE, SIGMAS * (sigma or 0.0))
+    if not proposed:  # an inclination below the limit counts as not found
+        return close and bool(np.allclose(made, true)), None, None
+    return close, round(error, 3), sigma
+
+
+def _same_signals(case: Planted, mapping: dict[str, Any]) -> bool:
+    """Whether positions and columns of torques are the true ones, whatever the torques' sizes."""
+    made, true = recorded(case.real, mapping), recorded(case.real, case.right)
+    rest = made.position - true.position
+    zero = (rest.mean(axis=0) + np.pi) % (2 * np.pi) - np.pi
+    zero[-1] = 0  # no data tell
+    if np.linalg.norm(np.cross(case.tree.joints[0].carried_axis, case.right["gravity"])) < 1e-6:
+        zero[0] = 0
+    one, other = made.measured("torque"), true.measured("torque")
+    alike = (one * other).sum(axis=0) / np.sqrt((one**2).sum(axis=0) * (other**2).sum(axis=0))
+    return bool(np.abs(zero).max() < 1e-3 and np.ptp(rest, axis=0).max() < 1e-4
+                and alike.min() > 0.999)  # fmt: skip
+
+
+def _same_gains(case: Planted, mapping: dict[str, Any], *, changed: bool) -> bool:
+    """Whether gains have the true ratios, if they are wrong on purpose or were changed."""
+    if not changed and case.what != "factor":
+        return True
+    made, true, told = (np.array(each["torque"].get("gain", [1.0] * case.tree.n))
+                        for each in (mapping, case.right, case.told))  # fmt: skip
+    ratio = np.log(made / true)
+    off = np.abs(ratio - np.median(ratio))[made != told]
+    return bool(len(off) and off.max() < GAIN)
+
+
+def _same_delay(case: Planted, mapping: dict[str, Any]) -> bool:
+    """Whether torques are as late as they are; real ones may be later."""
+    made, true = (float(each["torque"].get("delay", 0.0)) for each in (mapping, case.right))
+    if true and not made:
+        return False
+    least, most = (1 - DELAY) * true - MOMENT, (1 + DELAY) * true + MOMENT
+    return least <= made <= most + DRIVES * (case.kind == "real")
+
+
+def _short(values: Sequence[Any]) -> list[Any]:
+    return [round(each, 4) if isinstance(each, float) else each for each in values]
+
+
+def total(lines: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Results by what was planted, gravity accused where it is right, its errors, CPU times.
+
+    Args:
+        lines: Of `judged`.
+    """
+    results: dict[str, list[int]] = {}
+    for line in lines:
+        counts = results.setdefault(f"{line['kind']}: {line['planted']}", [0] * len(RESULTS))
+        counts[RESULTS.index(line["result"])] += 1
+    right = [line for line in lines if line["accused"] is not None]
+    errors = [line["gravity_deg"] for line in lines
+              if line["gravity_deg"] is not None and line["result"] == "right"]  # fmt: skip
+    return {
+        "benchmark": "evidence", "recordings": len(lines), "results": RESULTS,
+        "planted": dict(sorted(results.items())),
+        "all": np.sum([*results.values()], axis=0).tolist(),
+        "gravity_accused": [sum(line["accused"] for line in right), len(right)],
+        "gravity_deg": np.quantile(errors, [0.5, 1]).round(3).tolist() if errors else None,
+        "cpu_s": np.quantile([line["cpu_s"] for line in lines], [0.5, 0.95, 1]).tolist(),
+    }  # fmt: skip
+
+
+def main(
+    robots: Annotated[str, typer.Option(help="Names, by commas; all if empty.")] = "",
+    seed: Annotated[int, typer.Option(help="Of robots, motions and mistakes.")] = 0,
+    kinds: Annotated[str, typer.Option(help="Of what is planted, by commas.")] = ",".join(KINDS),
+    count: Annotated[int, typer.Option(help="Recordings at most, drawn at random; 0: all.")] = 0,
+) -> None:
+    """Causes planted in recordings of torques; exit code 1 if more than 1 % get another one."""
+    names = robots.split(",") if robots else [*ROBOTS]
+    todo = cases(names, kinds.split(","), seed)[: count or None]
+    if not todo:
+        raise typer.BadParameter(f"robots are {', '.join(ROBOTS)}; kinds are {', '.join(KINDS)}")
+    found = total(print_lines({"seed": seed} | judged(make()) for make in todo))
+    print_lines([found])
+    raise typer.Exit(int(found["all"][RESULTS.index("wrong")] > MOST_WRONG * len(todo)))
