@@ -20,7 +20,7 @@ from benchmarks.mistakes import OPEN, recorded
 from benchmarks.planted_recordings import KINDS, ROBOTS, Planted, cases
 from testbed.core.base.diagnostics import sentences
 from testbed.importing.check.check import Assessment, assess
-from testbed.importing.check.remedies import with_lines
+from testbed.importing.check.remedies import Remedy, with_lines
 
 ANGLE, SIGMAS = 3.0, 4.0
 """Error of gravity's direction that is good enough, the larger of both [deg, sigmas]."""
@@ -62,8 +62,7 @@ def judged(case: Planted) -> dict[str, Any]:
     return {
         "robot": case.robot, "kind": case.kind, "planted": case.what,
         "result": _result(found, close),
-        "proposed": [f"{each.kind} {', '.join(each.joints)} {_short(each.values)}"
-                     for each in found.remedies],
+        "proposed": [_in_words(each) for each in found.remedies],
         "first": next(iter(sentences(found.diagnostics[:1])), ""), "equals": list(found.equals),
         "gravity_deg": error, "sigma_deg": sigma,
         "accused": bool(kinds & {*GRAVITY}) if level else None,
@@ -90,7 +89,8 @@ def _gravity(
     true = np.array(case.right["gravity"])
     close = bool(abs(np.linalg.norm(made) - np.linalg.norm(true)) < SIZE * 9.81)
     proposed = [each for each in found.remedies if each.kind == "gravity"]
-    sigma = getattr(proposed[0], "sigma", None) if proposed else None
+    sigmas = [getattr(each, "sigma", None) for each in proposed]
+    sigma = next((float(np.max(each)) for each in sigmas if each is not None), None)
     if not made.any() or not true.any():
         return close, None, sigma
     error = float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(made, true)), made @ true)))
@@ -134,8 +134,9 @@ def _same_delay(case: Planted, mapping: dict[str, Any]) -> bool:
     return least <= made <= most + DRIVES * (case.kind == "real")
 
 
-def _short(values: Sequence[Any]) -> list[Any]:
-    return [round(each, 4) if isinstance(each, float) else each for each in values]
+def _in_words(remedy: Remedy) -> str:
+    values = (f"{each:.4g}" if isinstance(each, float) else f"{each}" for each in remedy.values)
+    return " ".join([remedy.kind, *remedy.joints, *values])
 
 
 def total(lines: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -149,14 +150,16 @@ def total(lines: Sequence[dict[str, Any]]) -> dict[str, Any]:
         counts = results.setdefault(f"{line['kind']}: {line['planted']}", [0] * len(RESULTS))
         counts[RESULTS.index(line["result"])] += 1
     right = [line for line in lines if line["accused"] is not None]
-    errors = [line["gravity_deg"] for line in lines
-              if line["gravity_deg"] is not None and line["result"] == "right"]  # fmt: skip
+    found = [line for line in lines if line["gravity_deg"] is not None]
+    errors = [line["gravity_deg"] for line in found if line["result"] == "right"]
+    ratios = [line["gravity_deg"] / line["sigma_deg"] for line in found if line["sigma_deg"]]
     return {
         "benchmark": "evidence", "recordings": len(lines), "results": RESULTS,
         "planted": dict(sorted(results.items())),
         "all": np.sum([*results.values()], axis=0).tolist(),
         "gravity_accused": [sum(line["accused"] for line in right), len(right)],
         "gravity_deg": np.quantile(errors, [0.5, 1]).round(3).tolist() if errors else None,
+        "gravity_sigmas": np.quantile(ratios, [0.5, 0.95]).round(2).tolist() if ratios else None,
         "cpu_s": np.quantile([line["cpu_s"] for line in lines], [0.5, 0.95, 1]).tolist(),
     }  # fmt: skip
 

@@ -86,10 +86,10 @@ def truth(
     if moving is not None:
         motion[1][[k for k in range(tree.n) if k not in moving]] = 0
     t = np.arange(round(RATE * seconds)) / RATE
-    q, qd, qdd = _states(*motion, t)
+    q, qd, qdd = states(*motion, t)
     torque, exact = inverse(model, tree.names, q, qd, qdd)
     if late:
-        exact = inverse(model, tree.names, *_states(*motion, t - late))[1]
+        exact = inverse(model, tree.names, *states(*motion, t - late))[1]
     size = np.abs(torque).max(axis=0)
     weight = float(np.abs(exact[:, 2]).mean())
     friction = 0.1 * size * np.tanh(qd / 0.01) + 0.1 * size * qd
@@ -189,10 +189,18 @@ def _motion(tree: tb.Tree, rng: np.random.Generator) -> tuple[Array, Array, Arra
     return (low + high) / 2, size, rng.uniform(0, 2 * np.pi, (tree.n, 4)), wave
 
 
-def _states(
+def states(
     middle: Array, size: Array, phase: Array, wave: Array, t: Array
 ) -> tuple[Array, Array, Array]:
-    """Positions, velocities, accelerations, (M, n) each."""
+    """Positions, velocities, accelerations, (M, n) each, of sums of sines.
+
+    Args:
+        middle: (n,) [rad or m].
+        size: (n, k) [rad or m].
+        phase: (n, k).
+        wave: (k,) or (n, k) [rad/s].
+        t: (M,) [s].
+    """
     angle = wave * t[:, None, None] + phase
     return (
         middle + (size * np.sin(angle)).sum(axis=2),

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from benchmarks import real
-from benchmarks.inverse_recordings import ENCODER, inverse, on_a_free_base, real_robot
+from benchmarks.inverse_recordings import ENCODER, inverse, on_a_free_base, real_robot, states
 from benchmarks.mistakes import mapping_of
 from testbed.core.base.arrays import Array
 from testbed.core.robot.model_file import ModelFile
@@ -149,7 +149,7 @@ def simulated(name: str, kind: str, mount: str, fault: str, seed: int) -> Plante
     """
     rng = np.random.default_rng([seed, zlib.crc32(f"{name} {mount} {fault}".encode())])
     tree, held = _model(name)
-    q, qd, qdd = _states(tree, rng, fault)
+    q, qd, qdd = _motion(tree, rng, fault)
     gravity = 9.81 * _direction(mount, rng)
     file, model = (
         on_a_free_base(real_robot(ROBOTS[name][0], held, rng, rough, off))
@@ -201,9 +201,9 @@ def _direction(mount: str, rng: np.random.Generator) -> Array:
     return np.asarray(turn.apply(MOUNTS["level"]))
 
 
-def _states(tree: tb.Tree, rng: np.random.Generator, fault: str) -> tuple[Array, Array, Array]:
+def _motion(tree: tb.Tree, rng: np.random.Generator, fault: str) -> tuple[Array, Array, Array]:
     """Positions, velocities, accelerations, (M, n) each: eight sines within the ranges."""
-    t = np.arange(0, rng.choice(SECONDS), 1 / RATE)[:, None, None]
+    t = np.arange(0, rng.choice(SECONDS), 1 / RATE)
     low, high = np.clip([joint.position_range for joint in tree.joints], -2.5, 2.5).T
     order = np.arange(1, 9)
     size = rng.normal(size=(tree.n, 8)) / order**0.7
@@ -212,13 +212,9 @@ def _states(tree: tb.Tree, rng: np.random.Generator, fault: str) -> tuple[Array,
     middle = (low + high) / 2 + rng.uniform(-1, 1, tree.n) * ((high - low) / 2 - most)
     if fault == "wrap":
         middle[-2] = np.pi
-    wave = 0.1 * np.pi * order * (1 + 0.03 * rng.normal(size=size.shape))
-    angle = wave * t + rng.uniform(0, 2 * np.pi, size.shape)
-    return (
-        middle + (size * np.sin(angle)).sum(axis=2),
-        (size * wave * np.cos(angle)).sum(axis=2),
-        (-size * wave**2 * np.sin(angle)).sum(axis=2),
-    )
+    wave = np.array(0.1 * np.pi * order * rng.normal(1, 0.03, size.shape))
+    phase = np.array(rng.uniform(0, 2 * np.pi, size.shape))
+    return states(middle, size, phase, wave, t)
 
 
 def _bodies(model: pin.Model, names: Sequence[str], fault: str, rng: np.random.Generator) -> None:
