@@ -3,7 +3,7 @@
 Recordings are those of `planted_recordings`. An answer is right where the recording that its lines
 make is the true one: positions but for zeros that no data tell, senses and order of torques, ratios
 of gains, gravity, delay. It is silent where it proposes nothing, equal where it proposes another
-cause and says that others explain as much, wrong otherwise.
+cause and names the true one among those that explain as much, wrong otherwise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import typer
 
 from benchmarks.lines import print_lines
 from benchmarks.mistakes import OPEN, recorded
-from benchmarks.planted_recordings import KINDS, ROBOTS, Planted, cases
+from benchmarks.planted_recordings import ALL, KINDS, ROBOTS, Planted, cases
 from testbed.core.base.diagnostics import sentences
 from testbed.importing.check.check import Assessment, assess
 from testbed.importing.check.remedies import Remedy, with_lines
@@ -36,6 +36,9 @@ DRIVES = 0.02
 
 GRAVITY = ("gravity", "gravity_removed")
 """Kinds of remedies that accuse gravity."""
+
+WORDS = {"sign": "sign", "offset": "zero", "columns": "order", "gain": "size", "delay": "late"}
+"""Of keys of a mapping that are wrong, in what is said to explain as much."""
 
 RESULTS = ("right", "silent", "equal", "wrong")
 MOST_WRONG = 0.01
@@ -58,27 +61,39 @@ def judged(case: Planted) -> dict[str, Any]:
     close = close and ("gravity_removed" in kinds) == case.removed
     close = close and _same_signals(case, mapping) and _same_delay(case, mapping)
     close = close and _same_gains(case, mapping, changed="torque_size" in kinds)
-    level = bool(np.allclose(case.right["gravity"], case.tree.gravity)) and not case.removed
     return {
         "robot": case.robot, "kind": case.kind, "planted": case.what,
-        "result": _result(found, close),
+        "result": _result(case, found, close),
         "proposed": [_in_words(each) for each in found.remedies],
         "first": next(iter(sentences(found.diagnostics[:1])), ""), "equals": list(found.equals),
         "gravity_deg": error, "sigma_deg": sigma,
-        "accused": bool(kinds & {*GRAVITY}) if level else None,
+        "accused": bool(kinds & {*GRAVITY}) if case.level else None,
         "currents": "gain" in case.told["torque"], "velocity": "velocity" in case.told,
         "seconds": round(float(np.ptp(case.real.time)), 1), "cpu_s": round(spent, 2),
     }  # fmt: skip
 
 
-def _result(found: Assessment, close: bool) -> str:
+def _result(case: Planted, found: Assessment, close: bool) -> str:
     """One of `RESULTS`; `close`: whether the recording is the true one with what is proposed."""
     if not found.remedies:
         return "right" if close and not found.certain else "silent"
-    if close:
-        return "right"
+    return "right" if close else "equal" if _among_equals(case, found) else "wrong"
+
+
+def _among_equals(case: Planted, found: Assessment) -> bool:
+    """Whether the true cause is among what is said to explain as much as what is proposed."""
     text = " ".join(sentences(found.diagnostics))
-    return "equal" if found.equals or any(word in text for word in OPEN) else "wrong"
+    text = " ".join([*found.equals, *(text.partition(word)[2] for word in OPEN)])
+    true = set() if case.level else {"gravity"}
+    for table in (each for each in ALL if each in case.told):
+        for key, word in WORDS.items():
+            told, right = (each[table].get(key) or None for each in (case.told, case.right))
+            if told != right and (key != "gain" or case.what == "factor"):
+                lists = (told, right) if isinstance(told, list) else ((), ())
+                pairs = zip(case.tree.names, *lists, strict=False)
+                joints = {name for name, one, other in pairs if one != other}
+                true |= {word} | (joints if len(joints) < case.tree.n else set())
+    return bool(true) and all(each in text for each in true)
 
 
 def _gravity(

@@ -110,10 +110,10 @@ class Planted:
         robot: Its name.
         kind: Of what is wrong.
         what: That, in words; "nothing" where nothing is.
-        tree: The robot by its file, under the gravity that the check is told.
+        tree: The robot by its file, in the gravity that the check is told.
         real: What was measured, without errors of the mapping.
         told: The mapping that the check gets.
-        right: The same with what is true of gravity, gains and delay.
+        right: The true mapping, with gravity and delay.
         removed: Whether the torques lack the gravity of the file's bodies.
     """
 
@@ -125,6 +125,11 @@ class Planted:
     told: dict[str, Any]
     right: dict[str, Any]
     removed: bool = False
+
+    @property
+    def level(self) -> bool:
+        """Whether what the check is told of gravity is true."""
+        return bool(np.allclose(self.right["gravity"], self.tree.gravity)) and not self.removed
 
 
 @cache
