@@ -368,7 +368,8 @@ def measured(name: str, which: int, fault: str, seed: int) -> Planted:
         delay = _number(fault) * 1e-3
         part = replace(part, torque=_late(torque, 1 / float(np.diff(part.time).mean()), delay))
         right["torque"] = {**right["torque"], "delay": delay}
-    return Planted(name, "real", fault, tree.with_gravity(TOLD.get(fault)), part, told, right)
+    robot = f"{name} {which + 1}" if which else name
+    return Planted(robot, "real", fault, tree.with_gravity(TOLD.get(fault)), part, told, right)
 
 
 def cases(names: Sequence[str], kinds: Sequence[str], seed: int) -> list[Callable[[], Planted]]:
