@@ -18,7 +18,7 @@ from benchmarks.judged_mappings import MARKS
 from benchmarks.lines import print_lines
 from testbed.core.base.diagnostics import sentences
 from testbed.core.recordings.metadata import Metadata
-from testbed.importing.check.check import assess
+from testbed.importing.check.assessment import assess
 from testbed.importing.check.remedies import with_lines
 from testbed.importing.convert import pieces
 from testbed.importing.foreign_table import KINDS
@@ -26,7 +26,7 @@ from testbed.importing.mapping import SignalTable
 from testbed.importing.signal_maps import EFFORTS, joint_signal
 from tests.helpers.paths import ROOT
 
-OPEN = ("equally explained", "do not decide", *MARKS)
+OPEN = ("equally explained", "do not decide", "not tell apart", *MARKS)
 """What is said of explanations that are equal."""
 
 QUARTERS = (np.pi / 2, np.pi, -np.pi / 2)

@@ -111,8 +111,10 @@ def _solution(
     said = [diagnose("robot.locked", locked)] if locked else []
     if file.weld_root and not reading.weld_root:
         said.append(diagnose("robot.welded", tree.name))
-    found = (*tree.diagnostics, *said, *solution.diagnostics)
-    output.print_result(diagnostics=[*found, *placeholders(tree).diagnostics])
+    found = (*solution.diagnostics, *said, *tree.diagnostics)
+    # what the log contradicts comes before what its robot's file lacks
+    lacking = placeholders(tree).diagnostics if solution.refusal is None else ()
+    output.print_result(diagnostics=[*found, *lacking])
     return solution
 
 

@@ -15,7 +15,7 @@ import pytest
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.importing.check.check import assess
+from testbed.importing.check.assessment import assess
 from testbed.sensors import catalogue, errors
 from testbed.sensors.kind_reader import error_of
 from testbed.sensors.kinds_in_words import in_words

@@ -27,7 +27,8 @@ from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import FREE, coordinates, poses
 from testbed.core.robot.rotations import to_rpy
-from testbed.importing.check.check import assess, check_recording
+from testbed.importing.check.assessment import assess
+from testbed.importing.check.check import check_recording
 from testbed.importing.check.plate import AS_READ, PLATE_ORDERS
 from testbed.importing.check.plate_frame import frame_of
 from testbed.importing.check.remedies import Hypothesis, corrected, merge, remedies_for, with_lines
@@ -104,15 +105,16 @@ WRONG: dict[str, tuple[str, str, Spoil, tuple[tuple[str, str, Any], ...]]] = {
     ),
     "radians as degrees": ("tx40", "", as_degrees, (("position", "unit", "rad"),)),
     "a zero": (
-        "tx40", "", of_joint(2, zero=QUARTER), (("position", "offset", None),)
+        "tx40", "", of_joint(1, zero=QUARTER), (("position", "offset", None),)
     ),
     "an odd zero": (
         "ur5", "", of_joint(3, zero=np.deg2rad(-40)),
         (("position", "offset", [0, 0, 0, np.deg2rad(40), 0, 0]),),
     ),
-    "two zeros": (
-        "puma", "wrench", lambda r: of_joint(2, zero=-QUARTER)(of_joint(1, zero=QUARTER)(r)),
-        (("position", "offset", [0, -QUARTER, 0]),),  # the last one's zero is no mistake
+    "a zero and a torque's sign": (
+        "ur5", "wrench", lambda r: of_joint(2, torque=-1)(of_joint(1, zero=QUARTER)(r)),
+        (("torque", "sign", [1, 1, -1, 1, 1, 1]),
+         ("position", "offset", [0, -QUARTER, 0, 0, 0, 0])),
     ),
     "sense": ("puma", "torque", plate(-1, -1), (("wrench", "sense", "on_plate"),)),
     "N mm as N m": ("gantry", "torque", plate(moment=1e3), (("wrench", "units", ["N", "N mm"]),)),
@@ -148,7 +150,7 @@ def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) ->
     for (_, _, value), (_, _, expected) in zip(lines, wanted, strict=True):
         if expected is None:  # a quarter turn less than the mapping of a real robot says
             said = np.array((recording.metadata.mapping or {})["position"]["offset"], dtype=float)
-            said[2] -= QUARTER
+            said[1] -= QUARTER
             np.testing.assert_allclose(value, said, atol=1e-3)
         else:
             assert near(value, expected), (value, expected)

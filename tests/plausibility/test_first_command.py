@@ -177,4 +177,4 @@ def test_torques_that_no_robot_makes_are_not_explained(tmp_path: Path) -> None:
     done = new(tmp_path, log, WITH_UNITS)
     mapping = tomllib.loads((tmp_path / "log.toml").read_text())
     assert not {"offset", "sign"} & {*mapping["position"], *mapping["torque"]}
-    assert done.returncode == 2 or "unexplained" in done.stdout + done.stderr
+    assert done.returncode == 2 or "not explained" in done.stdout + done.stderr

@@ -15,7 +15,8 @@ import testbed as tb
 from benchmarks.inverse_recordings import truth
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
-from testbed.importing.check.check import assess, check_recording, import_and_check
+from testbed.importing.check.assessment import assess
+from testbed.importing.check.check import check_recording, import_and_check
 from testbed.importing.check.draft_mapping import ASSUMED, missing
 from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.check.time_offset import time_offsets

@@ -25,7 +25,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
-from testbed.importing.check.check import assess
+from testbed.importing.check.assessment import assess
 from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed

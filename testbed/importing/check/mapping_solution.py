@@ -28,7 +28,8 @@ from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.core.robot.tree import Tree
-from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
+from testbed.importing.check.assessment import Assessment, assess, zero_hypothesis
+from testbed.importing.check.check import Prepared, clocked
 from testbed.importing.check.draft_mapping import ASSUMED, KNOWN, missing
 from testbed.importing.check.explanation import Explanation
 from testbed.importing.check.plate import FAR, WrenchFit
@@ -126,7 +127,8 @@ def solve_mapping(
         said = (*encoder_steps(source), *assessment.likely)
         if assessment.best is not None:
             draft = _by_the_data(draft, assessment.best, said)
-            offsets = time_offsets(tree, source)
+        if assessment.judged:
+            offsets = time_offsets(tree, source, clocked(source))
             in_time = _with_clocks(draft, source, offsets)
             prepared = replace(prepared, offsets=offsets)
             if in_time is not draft:
@@ -134,10 +136,8 @@ def solve_mapping(
     except (RecordingError, ExperimentError) as error:
         return MappingSolution(draft, refusal=error)
     best = assessment.best
-    if best is None:
-        return MappingSolution(draft, said, prepared=prepared)
-    refined = _with_plate(draft, best)
-    said = (*encoder_steps(source), *assessment.likely, *_too_short(best))
+    said = (*encoder_steps(source), *assessment.likely, *_too_short(tree, assessment))
+    refined = draft if best is None else _with_plate(draft, best)
     last = prepared if refined is draft else None
     if any(each.code in ("plate.foreign", "recording.short") for each in said):
         refined = _doubted(refined)
@@ -231,9 +231,8 @@ def _better(draft: MappingDraft, assessment: Assessment, tree: Tree) -> MappingD
             draft = _with_pedestal(draft, weighed)
             rest = tuple(each for each in assessment.remedies if each.kind != "tare")
             return _with_remedies(draft, replace(assessment, remedies=rest))
-    if assessment.remedies:
-        return _with_remedies(draft, assessment)
-    return _with_sizes(draft, assessment, tree)
+    changed = _with_remedies(draft, assessment)
+    return _with_sizes(draft, assessment, tree) if changed is draft else changed
 
 
 def _with_sizes(
@@ -253,8 +252,7 @@ def _with_sizes(
             "torque", "gain", 1.0, ASSUMED
         )
     if draft.tables.get("torque", {}).get("gain") == 1.0 and len(finite):
-        plate = best is not None and best.has_plate
-        return _with_gains(draft, assessment.sizes, tree, "plate" if plate else "model")
+        return _with_gains(draft, assessment.sizes, tree, "plate" if best else "model")
     return draft
 
 
@@ -294,6 +292,8 @@ def _with_pedestal(
 def _with_remedies(draft: MappingDraft, assessment: Assessment) -> MappingDraft:
     """What the assessment says, and what for."""
     for each in assessment.remedies:
+        if each.kind == "torque_size":  # by all sizes together
+            continue
         note = f"solved: {share(each.after)} of {each.channel} is unexplained"
         note += f", {share(each.before)} without" * (each.before > each.after)
         if assessment.equals:
@@ -324,7 +324,7 @@ def _by_the_data(
     draft: MappingDraft, best: Explanation, doubts: Sequence[Diagnostic]
 ) -> MappingDraft:
     """Mapping with notes on keys that were assumed and that a plate's data bear out."""
-    if not best.has_plate or any(each.level == "warning" for each in doubts):
+    if any(each.level == "warning" for each in doubts):
         return draft
     unexplained = share(best.plate.unexplained.max())
     note = f"by the data: {unexplained} of the plate's channels is unexplained"
@@ -370,7 +370,7 @@ def _delayed(
 def _with_plate(draft: MappingDraft, best: Explanation) -> MappingDraft:
     """Frame, clock and zero of a plate as the data determine them."""
     table = draft.tables.get("wrench")
-    if table is None or not best.has_plate:
+    if table is None:
         return draft
     frame = frame_of(draft.content)
     moves, covariance = best.fit.plate.correction(best.plate)
@@ -448,15 +448,22 @@ def _list(values: Array, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
-def _too_short(best: Explanation) -> Iterator[Diagnostic]:
+def _too_short(tree: Tree, assessment: Assessment) -> Iterator[Diagnostic]:
     """Whether another mapping may fit a recording as well."""
-    instants = best.fit.instants
-    parameters = minimal_set(best.fit.prior.tree, "reaction").count
-    count, joints = instants.motion.q.shape
-    if count * (6 if best.has_plate else joints) <= SHORT * parameters:
-        yield diagnose(
-            "recording.short", value=count * instants.spacing, parameters=parameters
+    parameters = minimal_set(tree, "reaction").count
+    if assessment.best is not None:
+        instants = assessment.best.fit.instants
+        count, seconds = (
+            6 * len(instants.motion.q),
+            len(instants.motion.q) * instants.spacing,
         )
+    elif assessment.verdict is not None:
+        signals = assessment.verdict.case.signals
+        count, seconds = signals.q.size, np.ptp(signals.at) / signals.rate
+    else:
+        return
+    if count <= SHORT * parameters:
+        yield diagnose("recording.short", value=float(seconds), parameters=parameters)
 
 
 def _doubted(draft: MappingDraft) -> MappingDraft:

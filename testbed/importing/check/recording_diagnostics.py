@@ -35,6 +35,9 @@ signal's channels that each has at least."""
 SHOWN, WIDE = 60, 110
 """Characters that spikes, and ranges, may take."""
 
+MOVED = 0.1
+"""Part of a torque's variance that is left where a joint at rest moves indeed."""
+
 NOISY = 3.0
 """Times a channel's noise that may be left besides."""
 
@@ -141,16 +144,19 @@ def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
         yield diagnose("plate.silent", "the plate", 0.0, wrench=components(wrench[0]))
 
 
-def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
+def still_joints(
+    tree: Tree, instants: Instants, unexplained: Array
+) -> Iterator[Diagnostic]:
     """Joints that rest throughout by their positions, those first that their torques say move.
 
     Args:
         tree: The robot.
-        as_read: The recording as it is.
+        instants: Of the recording.
+        unexplained: Parts of the torques' variance that are left, (n,) or (0,).
     """
-    position, odd = as_read.fit.instants.motion.q, as_read.odd_torques()
+    position = instants.motion.q
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < STILL]
-    dead = [k for k in still if k in odd]
+    dead = [k for k in still if unexplained.size and unexplained[k] > MOVED]
     if dead:
         yield diagnose("position.still", few([tree.names[k] for k in dead]), len(dead))
     elif still:
@@ -220,7 +226,7 @@ def weights(best: Explanation) -> tuple[float, float, float] | None:
     """
     tree = best.fit.prior.tree
     file, pedestal = sum(each.mass for each in tree.inertias), tree.pedestal.mass
-    if not best.has_plate or pedestal < LIGHT * file:
+    if pedestal < LIGHT * file:
         return None
     included, without = (carried_mass(best, tare)[0] for tare in (None, np.zeros(6)))
     return included, without, float(file)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import AnyArray, Array
-from testbed.core.base.errors import few
+from testbed.core.base.errors import few, round_significant
 from testbed.core.recordings.columns import AXES
 from testbed.core.robot.free_base import FREE, coordinates, poses
 from testbed.core.robot.rotations import from_rpy, to_rpy
@@ -28,7 +28,7 @@ class Kind(NamedTuple):
     """
 
     words: str
-    table: Literal["position", "torque", "wrench", "base"]
+    table: Literal["position", "torque", "wrench", "base", ""]
     penalty: float = 0.0
 
 
@@ -36,9 +36,6 @@ KINDS = {name: Kind(**each) for name, each in read_table("hypotheses").items()}
 
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
 """Zeros that model files and controllers put elsewhere [rad]."""
-
-SCANNED = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
-"""Other zeros to try [rad]."""
 
 BEYOND = 2 * np.pi
 """Positions below this are no degrees taken for radians: nobody moves so little [rad]."""
@@ -48,12 +45,6 @@ LITTLE = np.deg2rad(2 * BEYOND)
 
 FACTORS = {"position_sign": -1.0, "degrees": np.pi / 180, "radians": 180 / np.pi}
 """What positions are multiplied by."""
-
-BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
-"""Times that a base's positions are taken too small or too large: mm or cm for m."""
-
-SCALAR_LAST = (3, 0, 1, 2)
-"""Where w, x, y, z of a quaternion stand that is x, y, z, w."""
 
 STEPS, ODD = (np.pi / 2, np.pi / 12), 2.0
 """Steps of angles that people write [rad]; what another turn must explain more [nats]."""
@@ -71,8 +62,8 @@ class Hypothesis:
         joints: Indices of the joints that it is about.
         values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
             joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
-            [rad]; of a shift the frame's origin [m]; of a plate that is late by how much [s]; of
-            sizes, and of a base's unit, how many times too large the numbers are.
+            [rad]; of a shift the frame's origin [m]; of what is late by how much [s]; of gravity
+            itself [m/s^2]; of sizes and of a base's unit how many times too large the numbers are.
     """
 
     kind: str
@@ -120,59 +111,6 @@ def own_joints(tree: Tree) -> range:
     return range(FREE if tree.floating else 0, tree.n)
 
 
-def position_hypotheses(
-    tree: Tree, position: Array, beside: Sequence[Hypothesis]
-) -> Iterator[Hypothesis]:
-    """Hypotheses about positions that may hold besides others.
-
-    Args:
-        tree: The robot.
-        position: (T, n) [rad or m].
-        beside: Hypotheses that hold.
-    """
-    own = own_joints(tree)
-    turning = [k for k in own if tree.joints[k].revolute]
-    before = {each.kind for each in beside}
-    if turning and not before & {"degrees", "radians"}:
-        if np.abs(position[:, turning]).max() > BEYOND:
-            yield Hypothesis("degrees", tuple(turning))
-        if np.ptp(position[:, turning], axis=0).max() < LITTLE:
-            yield Hypothesis("radians", tuple(turning))
-    if tree.floating and "base_unit" not in before:
-        yield from (Hypothesis("base_unit", (), (factor,)) for factor in BASE_UNITS)
-    if tree.floating and "quaternion_order" not in before:
-        yield Hypothesis("quaternion_order", (), SCALAR_LAST)
-    yield from (Hypothesis("position_sign", (joint,)) for joint in own)
-    if tree.n > MOST_JOINTS:
-        return
-    for joint, angle in product(_inner_joints(tree), QUARTERS):
-        yield Hypothesis("zero", (joint,), (angle,))
-    for order in _orders(own):
-        moved = tuple(k for k in own if order[k] != k)
-        if all(tree.joints[k].kind == tree.joints[order[k]].kind for k in moved):
-            yield Hypothesis("position_order", moved, order)
-
-
-def rarer_hypotheses(tree: Tree, *, pairs: bool) -> Iterator[Hypothesis]:
-    """Zeros of neighbours that are wrong together, and zeros by any angle.
-
-    Args:
-        tree: The robot.
-        pairs: Whether to try neighbours.
-    """
-    turning = _inner_joints(tree) if tree.n <= MOST_JOINTS else []
-    for joint in turning:
-        for other, angles in product(tree.children(joint), product(QUARTERS, repeat=2)):
-            if pairs and other in turning:
-                yield Hypothesis("zero", (joint, other), angles)
-        yield from (Hypothesis("zero", (joint,), (angle,)) for angle in SCANNED)
-
-
-def _inner_joints(tree: Tree) -> list[int]:
-    """Joints that turn and carry others: the last one's zero only renames its body's parameters."""
-    return [k for k in own_joints(tree) if tree.joints[k].revolute and tree.children(k)]
-
-
 def exchanges(own: range, count: int) -> Iterator[tuple[int, ...]]:
     """Orders of joints or channels of which two are exchanged.
 
@@ -180,14 +118,28 @@ def exchanges(own: range, count: int) -> Iterator[tuple[int, ...]]:
         own: Those that may be.
         count: How many there are in all.
     """
-    for one, other in combinations(own, 2):
-        order = [*range(count)]
-        order[one], order[other] = other, one
-        yield tuple(order)
+    yield from (exchanged(*pair, count) for pair in combinations(own, 2))
 
 
-def _orders(own: range) -> Iterator[tuple[int, ...]]:
-    """Two joints exchanged; all of them rolled or in reverse."""
+def exchanged(one: int, other: int, count: int) -> tuple[int, ...]:
+    """The order of joints or channels of which two are exchanged.
+
+    Args:
+        one: Index of the first of them.
+        other: Of the second.
+        count: How many there are in all.
+    """
+    order = [*range(count)]
+    order[one], order[other] = other, one
+    return tuple(order)
+
+
+def orders(own: range) -> Iterator[tuple[int, ...]]:
+    """Orders with two joints exchanged, or with all of them rolled or in reverse.
+
+    Args:
+        own: Indices of the joints.
+    """
     yield from exchanges(own, own.stop)
     base, rest = [*range(own.start)], [*own]
     if len(rest) > 2:
@@ -325,9 +277,10 @@ def remedies_for(
         lines = tuple(_lines(tree, each, mapping))
         mapping = with_lines(mapping, lines)  # on which the next ones build
         every = range(len(before))
-        own = {"wrench": every[torques:], "torque": each.joints}.get(
-            KINDS[each.kind].table, every
-        )
+        table = KINDS[each.kind].table
+        own: Sequence[int] = every[torques:] if table == "wrench" else every
+        if table == "torque" and each.joints:
+            own = each.joints
         best = max(own, key=lambda k: before[k] - after[k])
         joints = tuple(tree.names[k] for k in each.joints)
         shares = float(before[best]), float(after[best])
@@ -344,7 +297,7 @@ def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, A
     edited = {**mapping}
     for table, key, value in lines:
         here = edited
-        for part in table.split("."):
+        for part in table.split(".") if table else ():
             here[part] = {**(here.get(part) or {})}
             here = here[part]
         here[key] = value
@@ -356,6 +309,11 @@ def _lines(
 ) -> Iterator[Line]:
     """What to write of one hypothesis, in terms of what is written if that is known."""
     signal = KINDS[hypothesis.kind].table
+    if hypothesis.kind == "gravity_removed":
+        return  # no line of a mapping says so
+    if hypothesis.kind == "gravity":
+        yield "", "gravity", list(hypothesis.values)
+        return
     for name, table in tables_of(mapping, signal).items():
         if signal == "wrench":
             pairs = [
@@ -443,7 +401,10 @@ def _joint_lines(
         table.get("offset") or (),
     )
     here = [k in hypothesis.joints for k in order]
-    if kind.endswith("sign"):
+    if kind == "delay":
+        delay = float(table.get("delay", 0.0)) + hypothesis.values[0]
+        yield "delay", round(delay, 5)
+    elif kind.endswith("sign"):
         factors = np.where(here, -1, 1)
         if matrix:
             yield "matrix", (factors[:, None] * matrix).tolist()
@@ -451,6 +412,15 @@ def _joint_lines(
             yield "sign", (factors * (table.get("sign") or 1)).tolist()
         if any(offset):
             yield "offset", (factors * offset + 0.0).tolist()
+    elif kind == "torque_size":
+        gains = np.broadcast_to(table.get("gain") or np.nan, (len(order),))
+        sizes = dict(zip(hypothesis.joints, hypothesis.values, strict=True))
+        if np.isfinite(gains).all():  # of currents; torques have a unit and no gain
+            pairs = zip(order, gains, strict=True)
+            yield (
+                "gain",
+                [round_significant(g / sizes.get(k, 1.0), 4) for k, g in pairs],
+            )
     elif kind in ("degrees", "radians"):
         yield "unit", _angle_units(tree, kind, table.get("unit"), order)
     elif kind == "zero":

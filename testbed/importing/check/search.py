@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 
+from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.explanation import (
     APART,
-    ROUGHLY_APART,
     Explanation,
     HypothesisFit,
     ranked,
@@ -23,27 +24,18 @@ from testbed.importing.check.plate import EXPLAINED
 from testbed.importing.check.plate_frame import frame_of
 from testbed.importing.check.prior import ScaledPrior
 from testbed.importing.check.remedies import (
+    BEYOND,
+    LITTLE,
+    MOST_JOINTS,
+    QUARTERS,
     Hypothesis,
     corrected,
-    position_hypotheses,
+    orders,
+    own_joints,
     position_offset,
-    rarer_hypotheses,
 )
 
 Progress = Callable[[int, int], None]
-
-DOUBTED = 10.0
-"""Gain of a single hypothesis below which no others are looked for where there is no plate [nats].
-"""
-
-GOOD = 0.3
-"""Share of a torque above which rarer hypotheses are looked for where there is no plate."""
-
-CLOSE = 0.05
-"""Share of a torque above which zeros are refined where there is no plate."""
-
-SIGMAS = 3.0
-"""Standard deviations by which parameters that the plate hardly identifies may be off."""
 
 MUCH = 20.0
 """Times more than the least that some map of a plate leaves of another fit: it is none."""
@@ -62,6 +54,16 @@ NOTHING = 1e-6
 
 STEP, FINEST = np.deg2rad([25.0, 0.5])
 """By how much a zero is moved at most, and how well it is found [rad]."""
+
+
+SCANNED = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
+"""Other zeros to try [rad]."""
+
+BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
+"""Times that a base's positions are taken too small or too large: mm or cm for m."""
+
+SCALAR_LAST = (3, 0, 1, 2)
+"""Where w, x, y, z of a quaternion stand that is x, y, z, w."""
 
 
 class Search:
@@ -96,22 +98,39 @@ class Search:
         self.fits: dict[tuple[Hypothesis, ...], HypothesisFit] = {}
         self._recording, self._progress, self._cutoff = recording, progress, cutoff
         self._offset = position_offset(tree, mapping)
-        self._has_plate = recording.wrench is not None
         self.first = self._fit()
 
     def best(self) -> tuple[Explanation, list[Explanation]]:
-        """The recording as it is, and what explains it, the best first."""
+        """The plate as it is read, and what explains it, the best first."""
         first = self.first
         assert first is not None
-        as_recorded = first.as_read.after_plate().as_recorded()
-        if first.fine:
-            return as_recorded, [as_recorded]
+        as_read = first.as_read
+        if as_read.plate.explained():
+            return as_read, [as_read]
         several = ranked(self._explanations(first))
         nearest = several[0].fit
-        if self._has_plate and _moves_zero(nearest):
+        if _moves_zero(nearest):
             several = ranked([*several, *self._refine(nearest).explanations])
         several = list({each.hypotheses: each for each in several[::-1]}.values())[::-1]
-        return as_recorded, ranked(each.after_plate() for each in several[:MOST])
+        return as_read, ranked(several[:MOST])
+
+    def with_senses(
+        self, best: Explanation, joints: Iterable[int]
+    ) -> Iterator[Explanation]:
+        """Explanations of the plate as likely as the best, with one joint's position reversed.
+
+        Args:
+            best: The likeliest.
+            joints: Indices of those that are tried.
+        """
+        for joint in joints:
+            sign = Hypothesis("position_sign", (joint,))
+            fit = self._fit(*best.fit.hypotheses, sign)
+            if fit is None or sign in best.fit.hypotheses:
+                continue
+            other = _likeliest([fit.as_read, *fit.explanations])
+            if other.cost < best.cost + APART:
+                yield other
 
     def undecided(self) -> list[Hypothesis]:
         """Those about positions alone by which the recording is about as likely as it is.
@@ -119,14 +138,13 @@ class Search:
         But for such as change nothing at all: a zero about an axis along gravity is a name.
         """
         misfit = self.fits[()].misfit
-        most = APART if self._has_plate else ROUGHLY_APART
         worse = {
             each: fit.misfit - misfit
             for each, fit in self.fits.items()
             if len(each) == 1
         }
         return [
-            each for (each,), by in worse.items() if by < most and abs(by) > NOTHING
+            each for (each,), by in worse.items() if by < APART and abs(by) > NOTHING
         ]
 
     def _fit(self, *hypotheses: Hypothesis) -> HypothesisFit | None:
@@ -157,22 +175,9 @@ class Search:
         several = [first.as_read]
         for more in self._stages(first, several):
             several += more
-            likeliest = _likeliest(several)
-            if self._has_plate and likeliest.explained:
-                after = likeliest.after_plate()
-                if not after.odd_torques(SIGMAS):
-                    return several + self._with_signs(after)
+            if _likeliest(several).plate.explained():
+                break
         return several
-
-    def _with_signs(self, after: Explanation) -> list[Explanation]:
-        """What explains it with other senses of the positions whose torques are unclear."""
-        signs = [
-            Hypothesis("position_sign", (joint,)) for joint in sorted(after.unclear)
-        ]
-        signs = [each for each in signs if each not in after.fit.hypotheses]
-        return [
-            each for fit in self._look(after.fit, signs) for each in fit.explanations
-        ]
 
     def _stages(
         self, first: HypothesisFit, several: list[Explanation]
@@ -194,24 +199,11 @@ class Search:
                 yield from self._stages(in_time, several)
                 return
             yield self._promising()
-        as_read = several[0]
-        if not self._has_plate:
-            plain = [each.cost for each in several if not each.sized]
-            if as_read.sized and min(plain, default=np.inf) > as_read.cost - DOUBTED:
-                # torques of another size leave little to judge of the rest
-                del several[1:]
-                return
-            if not as_read.torques_explained(CLOSE):
-                yield self._at_best_zeros(2)
-            likeliest = _likeliest(several)
-            gain = as_read.as_recorded().cost - likeliest.cost
-            if gain < DOUBTED or likeliest.torques_explained(GOOD):
-                return
-        elif first.plate.mixed(_likeliest(several).plate.unexplained):
+        if first.plate.mixed(_likeliest(several).plate.unexplained):
             return  # positions are right where only a matrix explains the plate
-        self._look(first, rarer_hypotheses(tree, pairs=not self._has_plate))
+        self._look(first, rarer_hypotheses(tree))
         yield self._at_best_zeros(3)
-        for each in self._nearest(2 if self._has_plate else 4):
+        for each in self._nearest(2):
             self._look(
                 each, position_hypotheses(tree, each.instants.motion.q, each.hypotheses)
             )
@@ -221,8 +213,8 @@ class Search:
         self, first: HypothesisFit, several: Sequence[Explanation]
     ) -> HypothesisFit | None:
         """The same with the plate's clock set, where a fit shows that it is late, or early."""
-        explained = any(each.explained for each in several)
-        if first.hypotheses or not self._has_plate or explained:
+        explained = any(each.plate.explained() for each in several)
+        if first.hypotheses or explained:
             return None
         late, _ = min(
             (each.plate.delay for each in self.fits.values()), key=lambda d: d[1]
@@ -281,3 +273,51 @@ def _likeliest(explanations: Sequence[Explanation]) -> Explanation:
 def _moves_zero(fit: HypothesisFit) -> bool:
     """Whether its last hypothesis is another zero."""
     return bool(fit.hypotheses) and fit.hypotheses[-1].kind == "zero"
+
+
+def position_hypotheses(
+    tree: Tree, position: Array, beside: Sequence[Hypothesis]
+) -> Iterator[Hypothesis]:
+    """Hypotheses about positions that may hold besides others.
+
+    Args:
+        tree: The robot.
+        position: (T, n) [rad or m].
+        beside: Hypotheses that hold.
+    """
+    own = own_joints(tree)
+    turning = [k for k in own if tree.joints[k].revolute]
+    before = {each.kind for each in beside}
+    if turning and not before & {"degrees", "radians"}:
+        if np.abs(position[:, turning]).max() > BEYOND:
+            yield Hypothesis("degrees", tuple(turning))
+        if np.ptp(position[:, turning], axis=0).max() < LITTLE:
+            yield Hypothesis("radians", tuple(turning))
+    if tree.floating and "base_unit" not in before:
+        yield from (Hypothesis("base_unit", (), (factor,)) for factor in BASE_UNITS)
+    if tree.floating and "quaternion_order" not in before:
+        yield Hypothesis("quaternion_order", (), SCALAR_LAST)
+    yield from (Hypothesis("position_sign", (joint,)) for joint in own)
+    if tree.n > MOST_JOINTS:
+        return
+    for joint, angle in product(_inner_joints(tree), QUARTERS):
+        yield Hypothesis("zero", (joint,), (angle,))
+    for order in orders(own):
+        moved = tuple(k for k in own if order[k] != k)
+        if all(tree.joints[k].kind == tree.joints[order[k]].kind for k in moved):
+            yield Hypothesis("position_order", moved, order)
+
+
+def rarer_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
+    """Zeros by angles that are no right ones.
+
+    Args:
+        tree: The robot.
+    """
+    for joint in _inner_joints(tree) if tree.n <= MOST_JOINTS else []:
+        yield from (Hypothesis("zero", (joint,), (angle,)) for angle in SCANNED)
+
+
+def _inner_joints(tree: Tree) -> list[int]:
+    """Joints that turn and carry others: the last one's zero only renames its body's parameters."""
+    return [k for k in own_joints(tree) if tree.joints[k].revolute and tree.children(k)]

@@ -1,0 +1,270 @@
+"""Readings of a log of torques, and how likely each is by a robot's model file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.evidence import Evidence, evidence
+from testbed.core.robot.tree import Tree
+from testbed.importing.check.body_prior import BodyPrior
+from testbed.importing.check.remedies import Hypothesis
+from testbed.importing.check.torque_products import (
+    TorqueProducts,
+    friction,
+    torque_products,
+)
+from testbed.importing.check.torque_signals import TorqueSignals
+
+FLOOR, FAINT, QUIET = 0.004, 0.01, 0.02
+"""Noise in parts of a torque's rms at least; rms in parts of the largest that a torque counts with
+at least, and that its noise counts with."""
+
+MOST = 80
+"""Instants of a channel that count at most: errors of models do not average out."""
+
+DRIVES = 15.0
+"""Most that friction that drives costs, each coefficient [nats]."""
+
+CORRELATED = 0.05
+"""Autocorrelation of residuals from which they are correlated."""
+
+STANDARD_GRAVITY = 9.81
+"""Size of gravity where a log is told that there is none [m/s^2]."""
+
+SCREENED = 80
+"""Instants by which readings of other positions are compared at first."""
+
+
+@dataclass(frozen=True, eq=False)
+class LogReading:
+    """A reading of a log.
+
+    Attributes:
+        hypotheses: About what the mapping says, all together; none for the log as given.
+        log: Logarithm of its probability, up to a constant of the log [nats].
+        evidence: Of its torques.
+        products: Of its columns.
+        gravity: (3,) [m/s^2].
+        measured: Other torques than those of the products, (C, T), or None.
+        kind: Family of hypotheses.
+        sigma: Standard deviations of what is continuous: of a direction [rad], a delay [s].
+        covariance: Of gravity's direction, (3, 3); empty for others.
+        odds: Logarithm of the prior odds and of the volume of what is continuous [nats].
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    log: float
+    evidence: Evidence
+    products: TorqueProducts
+    gravity: Array
+    measured: Array | None = None
+    kind: str = "as given"
+    sigma: Array = field(default_factory=lambda: np.zeros(0))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    odds: float = 0.0
+
+    @property
+    def hypothesis(self) -> Hypothesis | None:
+        """The first hypothesis; None for the log as given."""
+        return self.hypotheses[0] if self.hypotheses else None
+
+    @cached_property
+    def residual(self) -> Array:
+        """Residual torques, zero where none count, (C, T)."""
+        return self.products.residual(self.gravity, self.evidence, self.measured)
+
+    @cached_property
+    def whole(self) -> Array:
+        """Sums of squares of the torques, (C,)."""
+        return self.products.whole(self.measured)
+
+    def pooled(self, live: Array) -> float:
+        """Part of all torques that is left, rms.
+
+        Args:
+            live: Channels that count, (C,).
+        """
+        whole = self.whole[live].sum()
+        return float(np.sqrt(self.evidence.residual[live].sum() / whole))
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueCase:
+    """A log of torques beside its robot.
+
+    Attributes:
+        tree: The robot.
+        signals: Of the log.
+        prior: Of the robot's bodies.
+        gravity: As the log is told, (3,) [m/s^2].
+        inflation: Instants of each channel that count as one, (C,).
+        fixed: Whether positions and gravity are known, as by a force plate.
+    """
+
+    tree: Tree
+    signals: TorqueSignals
+    prior: BodyPrior
+    gravity: Array
+    inflation: Array
+    fixed: bool = False
+
+    @cached_property
+    def live(self) -> Array:
+        """Channels that tell something, (C,) of bool."""
+        return np.asarray(self.signals.counted.sum(axis=0) > 10)
+
+    @cached_property
+    def size(self) -> Array:
+        """Rms of each channel's torques, (C,) [N m or N]."""
+        counted = self.signals.counted
+        square = (counted * self.signals.torque**2).sum(axis=0)
+        rms = np.sqrt(square / np.maximum(counted.sum(axis=0), 1)) * self.live
+        return np.asarray(np.maximum(rms, FAINT * rms.max() + 1e-9))
+
+    @cached_property
+    def floor(self) -> Array:
+        """Least noise of each channel, (C,)."""
+        return np.asarray(FLOOR * np.maximum(self.size, QUIET * self.size.max()))
+
+    @cached_property
+    def standard(self) -> float:
+        """Size of gravity [m/s^2]."""
+        return float(np.linalg.norm(self.gravity)) or STANDARD_GRAVITY
+
+    @cached_property
+    def products(self) -> TorqueProducts:
+        """Products of the log as given, gravity open."""
+        gravity = self.gravity if self.fixed else None
+        return torque_products(self.tree, self.signals, self.prior, self.size, gravity)
+
+    @cached_property
+    def as_given(self) -> LogReading:
+        """The log as given."""
+        estimate = self.fit(self.products, self.gravity)
+        return LogReading((), estimate.log, estimate, self.products, self.gravity)
+
+    def with_inflation(self, reading: LogReading) -> TorqueCase:
+        """The same with residuals as correlated as a reading leaves them.
+
+        Args:
+            reading: The likeliest.
+        """
+        count = self.signals.counted.sum(axis=0)
+        inflation = np.maximum(correlation_times(reading.residual), count / MOST)
+        changed = replace(self, inflation=inflation)
+        changed.__dict__["products"] = self.products
+        return changed
+
+    def fit(
+        self,
+        products: TorqueProducts,
+        gravity: Array,
+        measured: Array | None = None,
+        variance: Array | None = None,
+        rounds: int = 4,
+    ) -> Evidence:
+        """Evidence of torques by the columns of one reading.
+
+        Args:
+            products: Of the columns.
+            gravity: (3,) [m/s^2].
+            measured: Other torques, (C, T).
+            variance: Of each channel's noise, where its search begins, (C,).
+            rounds: Of that search.
+        """
+        inputs = products.products(gravity, measured)
+        estimate = evidence(inputs, self.floor, self.inflation, variance, rounds)
+        return replace(estimate, log=estimate.log + self._braking(estimate))
+
+    def _braking(self, estimate: Evidence) -> float:
+        """Logarithm of the probability that friction brakes, over the one before the data."""
+        values, sigma = friction(estimate)
+        logs = np.maximum(log_ndtr(values / sigma), -DRIVES)
+        return float(logs[self.live].sum())
+
+    def with_torques(
+        self,
+        hypotheses: tuple[Hypothesis, ...],
+        odds: float,
+        measured: Array,
+        kind: str,
+    ) -> LogReading:
+        """A reading that has other torques only.
+
+        Args:
+            hypotheses: What it says.
+            odds: Logarithm of the prior odds [nats].
+            measured: Its torques, (C, T).
+            kind: Family of hypotheses.
+        """
+        estimate = self.fit(self.products, self.gravity, measured)
+        return LogReading(
+            hypotheses,
+            estimate.log + odds,
+            estimate,
+            self.products,
+            self.gravity,
+            measured,
+            kind,
+            odds=odds,
+        )
+
+    def corrected(
+        self, hypotheses: tuple[Hypothesis, ...], odds: float, kind: str, count: int = 0
+    ) -> LogReading:
+        """A reading whose columns are made anew.
+
+        Args:
+            hypotheses: What it says.
+            odds: Logarithm of the prior odds [nats].
+            kind: Family of hypotheses.
+            count: Instants by which it is judged; all by default.
+        """
+        signals = self.signals.thinned(count) if count else self.signals
+        signals = signals.corrected(*hypotheses)
+        products = torque_products(
+            self.tree, signals, self.prior, self.size, self.gravity
+        )
+        estimate = self.fit(products, self.gravity)
+        log = estimate.log + odds
+        return LogReading(
+            hypotheses, log, estimate, products, self.gravity, kind=kind, odds=odds
+        )
+
+    def again(self, reading: LogReading) -> LogReading:
+        """The same reading by the residuals' correlation as it is known now.
+
+        Args:
+            reading: One that was made with another.
+        """
+        estimate = self.fit(
+            reading.products, reading.gravity, reading.measured, rounds=5
+        )
+        return replace(reading, evidence=estimate, log=estimate.log + reading.odds)
+
+
+def correlation_times(residual: Array) -> Array:
+    """Instants of each channel that count as one, by the autocorrelation of residuals, (C,).
+
+    Args:
+        residual: (C, T).
+    """
+    from scipy.signal import correlate
+
+    times = np.ones(len(residual))
+    samples = residual.shape[1]
+    for k, channel in enumerate(residual):
+        if not channel.any():
+            continue
+        lagged = correlate(channel, channel, method="fft")[samples - 1 :]
+        correlation = lagged / lagged[0]
+        small = np.flatnonzero(correlation[1:] < CORRELATED)
+        last = small[0] + 1 if len(small) else samples
+        total = 1 + 2 * correlation[1:last].sum()
+        times[k] = np.clip(total, 1, max(samples / 12, 1))
+    return times

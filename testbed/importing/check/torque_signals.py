@@ -1,0 +1,223 @@
+"""Joint torques and motion of a log through one low-pass, at few instants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.recording import Recording
+from testbed.importing.check.remedies import Hypothesis, corrected
+
+CUTOFF = 4.0
+"""Corner of the low-pass [Hz]; a seventh of the rate where the recording is slower."""
+
+A_SECOND, MOST, LEAST = 8.0, 240, 20
+"""Instants a second at most, in all at most, and least of which a recording has a use."""
+
+DRY, STRIBECK = 0.03, 0.15
+"""Parts of a joint's largest speed over which dry friction changes its sense, and Stribeck's
+friction falls."""
+
+CONSTANT = 0.5
+"""Part of the samples at one value from which a channel tells nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueSignals:
+    """Signals of n joints at T instants.
+
+    Attributes:
+        q: Positions, (T, n) [rad or m].
+        qd: Velocities, (T, n).
+        qdd: Accelerations, (T, n).
+        friction: Viscous, dry, rotor's and Stribeck's torques, each of about unit size, (T, n, 4).
+        counted: Whether a torque counts, (T, n).
+        filtered: Torques at all samples, (M, n) [N m or N].
+        at: Samples of the instants, (T,).
+        rate: Of the samples [Hz].
+        pinned: Whether measured velocities bear out order and senses of the positions.
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
+    friction: Array
+    counted: NDArray[np.bool_]
+    filtered: Array
+    at: NDArray[np.intp]
+    rate: float
+    pinned: bool
+
+    @property
+    def torque(self) -> Array:
+        """Torques at the instants, (T, n) [N m or N]."""
+        return self.filtered[self.at]
+
+    def delayed(self, delay: float, lag: float = 0.0) -> Array:
+        """Torques without a delay and a first-order lag, (T, n).
+
+        Args:
+            delay: Of the torques [s].
+            lag: Time constant of their low-pass [s].
+        """
+        torque = self.filtered
+        if lag:
+            torque = torque + lag * _derivative(torque, self.rate)
+        if not delay:
+            return torque[self.at]
+        samples = np.arange(len(torque))
+        later = self.at + delay * self.rate
+        return np.column_stack([np.interp(later, samples, each) for each in torque.T])
+
+    def thinned(self, count: int) -> TorqueSignals:
+        """The same at no more than so many instants.
+
+        Args:
+            count: Of instants.
+        """
+        step = max(1, -(-len(self.at) // count))
+        return replace(
+            self,
+            q=self.q[::step],
+            qd=self.qd[::step],
+            qdd=self.qdd[::step],
+            friction=self.friction[::step],
+            counted=self.counted[::step],
+            at=self.at[::step],
+        )
+
+    def corrected(self, *hypotheses: Hypothesis) -> TorqueSignals:
+        """Signals as they are if hypotheses hold, in the order in which they are applied.
+
+        Args:
+            hypotheses: About columns of positions and torques.
+        """
+        signals = self
+        for each in hypotheses:
+            signals = _CORRECTIONS.get(each.kind, _with_positions)(signals, each)
+        return signals
+
+
+def torque_signals(recording: Recording) -> TorqueSignals | None:
+    """Signals of a recording with torques; None where it is too short.
+
+    Args:
+        recording: In the order of the robot's joints.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    rate, torque = recording.rate, recording.measured("torque")
+    cutoff = min(CUTOFF, rate / 7)
+    edge = int(rate / cutoff)
+    inside = recording.samples - 2 * edge
+    step = max(rate / A_SECOND, inside / MOST, 1.0)
+    if inside < LEAST * step:
+        return None
+    low_pass = butter(3, cutoff / (rate / 2), output="sos")
+    pad = min(3 * edge, recording.samples - 2)
+
+    def filtered(signal: Array) -> Array:
+        return np.asarray(sosfiltfilt(low_pass, signal, axis=0, padlen=pad))
+
+    position = filtered(recording.position)
+    velocity = _derivative(position, rate)
+    acceleration = _derivative(velocity, rate)
+    fastest = np.percentile(np.abs(velocity), 98, axis=0) + 1e-9
+    sense = np.tanh(velocity / (DRY * fastest))
+    slow = sense * np.exp(-((velocity / (STRIBECK * fastest)) ** 2))
+    size = np.sqrt((acceleration**2).mean(axis=0)) + 1e-9
+    friction = [
+        velocity / fastest,
+        filtered(sense),
+        acceleration / size,
+        filtered(slow),
+    ]
+    at = np.unique(np.arange(edge, edge + inside, step).astype(int))
+    alive = [not _constant(each) for each in torque.T]
+    return TorqueSignals(
+        position[at],
+        velocity[at],
+        acceleration[at],
+        np.stack(friction, axis=-1)[at],
+        np.broadcast_to(alive, (len(at), len(alive))),
+        filtered(torque),
+        at,
+        rate,
+        "velocity" in recording.signals,
+    )
+
+
+def _constant(channel: Array) -> bool:
+    """Whether a channel is at one value at most samples, (M,)."""
+    return bool((channel == np.median(channel)).mean() > CONSTANT)
+
+
+def _derivative(signal: Array, rate: float) -> Array:
+    """Central differences of fourth order, (M, n)."""
+    slope = np.gradient(signal, axis=0)
+    slope[2:-2] = (8 * (signal[3:-1] - signal[1:-3]) - (signal[4:] - signal[:-4])) / 12
+    return np.asarray(slope * rate)
+
+
+def _with_positions(signals: TorqueSignals, hypothesis: Hypothesis) -> TorqueSignals:
+    """Signals with other positions."""
+    zero = np.zeros(signals.q.shape[1])
+    still = np.zeros_like(signals.q[:1])
+    constant = corrected(hypothesis, still, zero)
+    q, qd, qdd = (
+        corrected(hypothesis, each, zero)
+        for each in (signals.q, signals.qd, signals.qdd)
+    )
+    friction = signals.friction
+    if hypothesis.kind == "position_order":
+        friction = friction[:, list(hypothesis.values)]
+    elif hypothesis.kind == "position_sign":
+        friction = friction.copy()
+        friction[:, list(hypothesis.joints)] *= -1
+    return replace(
+        signals, q=q, qd=qd - constant, qdd=qdd - constant, friction=friction
+    )
+
+
+def _with_order(signals: TorqueSignals, hypothesis: Hypothesis) -> TorqueSignals:
+    """Signals with the torques in another order."""
+    order = list(hypothesis.values)
+    return replace(
+        signals,
+        filtered=signals.filtered[:, order],
+        counted=signals.counted[:, order],
+    )
+
+
+def _with_factors(signals: TorqueSignals, hypothesis: Hypothesis) -> TorqueSignals:
+    """Signals with torques of other senses or sizes."""
+    factors = np.ones(signals.filtered.shape[1])
+    factors[list(hypothesis.joints)] = np.divide(1.0, hypothesis.values or -1.0)
+    return replace(signals, filtered=signals.filtered * factors)
+
+
+def _with_delay(signals: TorqueSignals, hypothesis: Hypothesis) -> TorqueSignals:
+    """Signals with torques that are so much less late."""
+    (delay,) = hypothesis.values
+    samples = np.arange(len(signals.filtered)) + delay * signals.rate
+    columns = [
+        np.interp(samples, np.arange(len(samples)), each) for each in signals.filtered.T
+    ]
+    return replace(signals, filtered=np.column_stack(columns))
+
+
+def _unchanged(signals: TorqueSignals, _: Hypothesis) -> TorqueSignals:
+    """The same signals."""
+    return signals
+
+
+_CORRECTIONS = {
+    "torque_order": _with_order,
+    "torque_sign": _with_factors,
+    "torque_size": _with_factors,
+    "delay": _with_delay,
+    "gravity": _unchanged,
+}
