@@ -60,7 +60,7 @@ def judged(case: Planted) -> dict[str, Any]:
     close, error, sigma = _gravity(case, mapping, found)
     close = close and ("gravity_removed" in kinds) == case.removed
     close = close and _same_signals(case, mapping) and _same_delay(case, mapping)
-    close = close and _same_gains(case, mapping, changed="torque_size" in kinds)
+    close = close and _same_gains(case, mapping, found, changed="torque_size" in kinds)
     return {
         "robot": case.robot, "kind": case.kind, "planted": case.what,
         "result": _result(case, found, close),
@@ -129,15 +129,18 @@ def _same_signals(case: Planted, mapping: dict[str, Any]) -> bool:
                 and alike.min() > 0.999)  # fmt: skip
 
 
-def _same_gains(case: Planted, mapping: dict[str, Any], *, changed: bool) -> bool:
-    """Whether gains have the true ratios, if they are wrong on purpose or were changed."""
+def _same_gains(
+    case: Planted, mapping: dict[str, Any], found: Assessment, *, changed: bool
+) -> bool:
+    """Whether gains that are said to be known have the true ratios, where they are changed."""
     if not changed and case.what != "factor":
         return True
     made, true, told = (np.array(each["torque"].get("gain", [1.0] * case.tree.n))
                         for each in (mapping, case.right, case.told))  # fmt: skip
-    ratio = np.log(made / true)
-    off = np.abs(ratio - np.median(ratio))[made != told]
-    return bool(len(off) and off.max() < GAIN)
+    text = " ".join(sentences(found.diagnostics))
+    known = (made != told) & [f"{name} " in text for name in case.tree.names]
+    ratio = np.log(made / true)[known]
+    return bool(known.any() and np.abs(ratio - np.median(ratio)).max() < GAIN)
 
 
 def _same_delay(case: Planted, mapping: dict[str, Any]) -> bool:

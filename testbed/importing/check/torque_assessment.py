@@ -236,7 +236,9 @@ def _explained(
         if reading.kind == "by file":
             yield diagnose("torque.gravity-removed", "the torques")
         elif reading.kind == "torque sizes" and not resized:
-            yield _factors(case, reading, "torque.factors")
+            yield diagnose(
+                "torque.factors", "the torques", sizes=_factors(case, reading)
+            )
     gravity = [each for each in assessment.remedies if each.kind == "gravity"]
     for remedy in gravity[-1:]:
         reading = next(
@@ -258,7 +260,7 @@ def _explained(
         each for each in assessment.remedies if each.lines and each not in gravity
     ]
     if others:
-        equals = [_words(case, each) for each in verdict.equals]
+        equals = [_words(case, each) for each in verdict.equals[1:]]
         yield wrong_mapping(case.tree, others, equals, verdict.nats, certain=True)
 
 
@@ -283,8 +285,8 @@ def gravity_words(reading: LogReading) -> str:
     return f"along ({along}){sigma} in the base's frame{name}"
 
 
-def _factors(case: TorqueCase, reading: LogReading, code: str) -> Diagnostic:
-    """Sizes of torques relative to each other."""
+def _factors(case: TorqueCase, reading: LogReading) -> str:
+    """Sizes of torques relative to each other, in words."""
     known = np.isfinite(reading.sigma)
     sizes = np.array(reading.hypotheses[0].values)
     relative = sizes / np.exp(np.log(sizes[known]).mean())
@@ -295,7 +297,7 @@ def _factors(case: TorqueCase, reading: LogReading, code: str) -> Diagnostic:
         )
         if np.isfinite(sigma)
     ]
-    return diagnose(code, "the torques", sizes=few(words, 160))
+    return few(words, 160)
 
 
 def _contradiction(case: TorqueCase, verdict: TorqueVerdict) -> Iterator[Diagnostic]:
@@ -306,7 +308,8 @@ def _contradiction(case: TorqueCase, verdict: TorqueVerdict) -> Iterator[Diagnos
             logs = np.log(np.array(reading.hypotheses[0].values)[known])
             clear = np.abs(logs - logs.mean()) > SIGMAS * reading.sigma[known]
             if clear.any() and np.ptp(logs) > LEAST:
-                yield _factors(case, reading, "torque.contradiction")
+                sizes = _factors(case, reading)
+                yield diagnose("torque.contradiction", "the torques", sizes=sizes)
 
 
 def _not_explained(

@@ -24,8 +24,8 @@ FACTOR = 0.4
 STEPS, STEP = 6, 0.5
 """Steps of Gauss and Newton to the sizes, and the largest of their logarithms."""
 
-KNOWN = 2.0
-"""Times the least sigma of a size below which another one is known."""
+KNOWN, SHARP = 2.0, 0.1
+"""Times the least sigma of a size, and sigma in any case, below which a size is known."""
 
 
 def column_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
@@ -124,7 +124,7 @@ def size_reading(case: TorqueCase) -> LogReading:
     volume = np.linalg.slogdet(np.eye(n) + FACTOR**2 * information)[1]
     penalty = ((logs / FACTOR) ** 2)[case.live].sum()
     odds = float(SIZES + jacobian - 0.5 * (penalty + volume))
-    known = (spread < KNOWN * spread[case.live].min()) & case.live
+    known = (spread < max(KNOWN * spread[case.live].min(), SHARP)) & case.live
     told = np.where(known, logs, logs[known].mean())
     joints = tuple(range(n))
     sizes = Hypothesis("torque_size", joints, tuple(np.exp(told).tolist()))

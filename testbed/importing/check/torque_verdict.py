@@ -36,6 +36,9 @@ from testbed.importing.check.torque_readings import LogReading, TorqueCase
 MARGIN = 20.0
 """Nats over the likeliest reading that says something else."""
 
+ALIKE = 0.5
+"""Nats between readings that are one in the data."""
+
 LEFT, LEFT_OF_ALL = 0.30, 0.15
 """Rms that may be left of the channel that gains most, and of all torques: right readings leave
 1.6 % of all (median), 4 % (99 %), of real logs 1 to 10 %."""
@@ -98,7 +101,7 @@ class TorqueVerdict:
         outcome: Whether it is right as given, explained by readings, or neither.
         case: The log as it was judged last.
         readings: Those that explain it, applied one after another.
-        equals: Readings that explain it as well.
+        equals: Readings that explain it as well, the likeliest first.
         attempts: The likeliest readings that are not said.
         ranked: All readings, the likeliest first.
         nats: By how much the reading that is said is likelier than the log as given.
@@ -262,12 +265,22 @@ def _gate(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
             if each.kind in ("delay", "lag") and not same(each, best)
         ]
     equals = [each for each in rivals if best.log - each.log < MARGIN]
-    if equals or best.log - first.log < MARGIN:
+    alike = [each for each in equals if _alike(best, each)]
+    if len(alike) < len(equals) or best.log - first.log < MARGIN:
         said = (best, *equals)
         return replace(verdict, outcome="not told apart", equals=said)
     return replace(
-        verdict, outcome="explained", readings=(best,), nats=best.log - first.log
+        verdict,
+        outcome="explained",
+        readings=(best,),
+        equals=(best, *alike),
+        nats=best.log - first.log,
     )
+
+
+def _alike(one: LogReading, other: LogReading) -> bool:
+    """Whether data cannot tell two readings apart, whatever the motion."""
+    return abs((one.log - one.odds) - (other.log - other.odds)) < ALIKE
 
 
 def _unnamed(case: TorqueCase, first: LogReading, reading: LogReading) -> bool:
