@@ -26,6 +26,7 @@ RECORDED = Fields(
     "model",
     "settings",
     "zeros",
+    "gravity",
     "weld_root",
     "lock",
     "lock_mimic",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from testbed.cli.opening import corrected_source, opened, require_different
-from testbed.cli.options import OUTPUT, ROBOT, Vector
+from testbed.cli.options import OUTPUT, ROBOT, Gravity
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.installation import own_or_shipped
 from testbed.core.base.stages import stage
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from testbed.bodies.prior import Prior
     from testbed.core.estimation.estimate import Estimate, Method
     from testbed.core.estimation.sensor.correction import CalibrationCovariance
+    from testbed.core.recordings.recording import Recording
     from testbed.core.recordings.source import Source
     from testbed.core.robot.model_file import ModelFile
     from testbed.core.robot.tree import Tree
@@ -65,15 +66,7 @@ class Reading:
             help="Fix a parameter to zero, e.g. mb1x; repeatable.",
         ),
     ] = None
-    gravity: Annotated[
-        Vector | None,
-        typer.Option(
-            metavar="X,Y,Z",
-            parser=Vector.parse,
-            help="Gravity [m/s^2]; default from the recording or the model file.",
-            rich_help_panel=ROBOT,
-        ),
-    ] = None
+    gravity: Gravity = None
     sensor: Annotated[
         str | None,
         typer.Option(
@@ -301,8 +294,14 @@ class Reading:
             RecordingError: The recording moves a joint of --lock.
         """
         from testbed.core.recordings.held import hold_still
-        from testbed.core.recordings.views import on_its_base
+        from testbed.core.recordings.views import on_its_base, transformed
 
+        if (gravity := self.gravity) is not None:
+
+            def under_gravity(part: Recording) -> Recording:
+                return replace(part, metadata=replace(part.metadata, gravity=gravity))
+
+            source = transformed(source, under_gravity)
         file, fewer, _ = hold_still(self.file, source, lock_only=True)
         reading = replace(self, resolved=file).with_sensors(source).on_its_root(source)
         return reading, on_its_base(fewer, reading.tree)
