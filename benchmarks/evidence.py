@@ -19,7 +19,8 @@ from benchmarks.lines import print_lines
 from benchmarks.mistakes import OPEN, recorded
 from benchmarks.planted_recordings import ALL, KINDS, ROBOTS, Planted, cases
 from testbed.core.base.diagnostics import sentences
-from testbed.importing.check.check import Assessment, assess
+from testbed.core.robot.gravity import gravity_of
+from testbed.importing.check.assessment import Assessment, assess
 from testbed.importing.check.remedies import Remedy, with_lines
 
 ANGLE, SIGMAS = 3.0, 4.0
@@ -100,7 +101,7 @@ def _gravity(
     case: Planted, mapping: dict[str, Any], found: Assessment
 ) -> tuple[bool, float | None, float | None]:
     """Whether gravity is the true one; error and sigma of its direction, if proposed [deg]."""
-    made = np.array(mapping.get("gravity", case.tree.gravity))
+    made = np.array(gravity_of(mapping.get("gravity", case.tree.gravity)), float)
     true = np.array(case.right["gravity"])
     close = bool(abs(np.linalg.norm(made) - np.linalg.norm(true)) < SIZE * 9.81)
     proposed = [each for each in found.remedies if each.kind == "gravity"]

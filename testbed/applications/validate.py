@@ -43,7 +43,7 @@ from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import RecordingLike, Source
+from testbed.core.recordings.source import RecordingLike, Source, longest_segment
 from testbed.core.robot.friction import ROOM, SLOPE, term_torque
 from testbed.core.robot.tree import Tree
 from testbed.sensors.corrected import corrected
@@ -52,7 +52,7 @@ from testbed.sensors.corrected import corrected
 def motion_in(
     recording: Recording, settings: Settings = DEFAULTS
 ) -> tuple[Motion, slice]:
-    """The motion that a recording shows, and which of its samples that is.
+    """The motion that a recording's longest segment shows, and which of its samples that is.
 
     Args:
         recording: Encoders, and velocities and accelerations where they were sensed.
@@ -61,18 +61,19 @@ def motion_in(
     Returns:
         The motion, and the slice of samples that it covers: filters take both ends.
     """
-    if recording.velocity is not None and recording.acceleration is not None:  # both
-        whole = slice(0, recording.samples)
-        rates = recording.velocity, recording.acceleration
-        return Motion(recording.time, recording.position, *rates), whole
-    fitted = settings.fitted(recording.rate)
-    taps = motion_taps(recording.rate, fitted.position_low_pass)
+    first, last = longest_segment(recording)
+    shown = recording.part(first, last)
+    if shown.velocity is not None and shown.acceleration is not None:  # both
+        rates = shown.velocity, shown.acceleration
+        return Motion(shown.time, shown.position, *rates), slice(first, last)
+    fitted = settings.fitted(shown.rate)
+    taps = motion_taps(shown.rate, fitted.position_low_pass)
     reach = taps.shape[1] // 2
-    inner = slice(reach, recording.samples - reach)
-    if recording.samples <= 2 * reach:
+    inner = slice(first + reach, last - reach)
+    if shown.samples <= 2 * reach:
         raise RecordingError("the recording is too short for the filter on positions")
     signals = (
-        np.apply_along_axis(np.convolve, 0, recording.position, tap[::-1], "valid")
+        np.apply_along_axis(np.convolve, 0, shown.position, tap[::-1], "valid")
         for tap in taps
     )
     return Motion(recording.time[inner], *signals), inner
@@ -122,7 +123,7 @@ def predictions(
     for k, method in enumerate(methods):  # the external one comes first
         theta[..., k] = parameters_of(estimates[method], theta[..., 0] if k else None)
     joints, plate = linear(tree, motion, theta)
-    first = round((motion.t[0] - recording.time[0]) * recording.rate)
+    first = int(np.searchsorted(recording.time, motion.t[0]))
     warmth = recording.temperature
     warmth = None if warmth is None else warmth[first : first + motion.samples] - ROOM
     torque = {

@@ -277,6 +277,7 @@ def drives(
     from testbed.bodies.consistency.consistent import consistent
     from testbed.core.base.codec import encode
     from testbed.core.base.files import together
+    from testbed.core.recordings.source import Stretch, longest_segment
     from testbed.core.recordings.views import with_gear
     from testbed.importing.check.time_offset import delivered
     from testbed.view import output
@@ -295,7 +296,11 @@ def drives(
     reading = replace(sensed, sensor=None)
     tree, source = reading.tree, reading.source(source)
     bodies = sensed.identify(source, "identifying by the wrench")
-    source, offset = delivered(tree, source, bodies) if commands else (source, None)
+    offset = None
+    if commands:
+        source, offset = delivered(
+            tree, Stretch(source, *longest_segment(source)), bodies
+        )
     delay, lines = (
         (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
     )

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Force, Json, Set, check_outputs, command, ending, note
+from testbed.cli.options import (
+    Force,
+    Gravity,
+    Json,
+    Set,
+    check_outputs,
+    command,
+    ending,
+    note,
+    with_gravity,
+)
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.installation import own_or_shipped
 
@@ -38,6 +48,7 @@ def excite(
         Path, typer.Option(callback=ending(".toml"), help="Motion to write.")
     ] = Path("motion.toml"),
     settings: Set = None,
+    gravity: Gravity = None,
     prior: Annotated[
         Path | None,
         typer.Option(
@@ -88,7 +99,7 @@ def excite(
     from testbed.view import output
     from testbed.view.motion import print_excitation
 
-    settings = settings or []
+    settings = with_gravity(settings, gravity)
     if check:
         _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
         _check(file, settings, everything=everything, as_json=as_json)

@@ -12,12 +12,14 @@ from testbed.cli.options import (
     Everything,
     ExperimentFile,
     Force,
+    Gravity,
     Json,
     Set,
     check_outputs,
     command,
     ending,
     note,
+    with_gravity,
 )
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 def run(
     file: ExperimentFile,
     settings: Set = None,
+    gravity: Gravity = None,
     out: Annotated[
         Path | None, typer.Option(help="Run folder; default runs/NAME-HASH.")
     ] = None,
@@ -63,7 +66,7 @@ def run(
     from testbed.lab.experiment.results import check_folder, default_folder, result_of
     from testbed.view import output, terminal
 
-    experiment = Experiment.from_toml(file, settings or ())
+    experiment = Experiment.from_toml(file, with_gravity(settings, gravity))
     folder = out or default_folder(experiment)
     # the same run again needs no --force
     check_outputs(folder, force=True, folder=True)
@@ -92,6 +95,7 @@ def simulate(
         typer.Option(callback=ending(".parquet"), help="Recording to write (Parquet)."),
     ],
     settings: Set = None,
+    gravity: Gravity = None,
     force: Force = False,
 ) -> None:
     """Simulate an experiment and write only its recording.
@@ -103,7 +107,7 @@ def simulate(
     from testbed.view import output
 
     check_outputs(out, force=force, read=(file,))
-    experiment = Experiment.from_toml(file, settings or ())
+    experiment = Experiment.from_toml(file, with_gravity(settings, gravity))
     with output.Progress("simulating") as progress:
         recording = record(experiment, progress)
     recording.save(out)

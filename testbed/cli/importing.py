@@ -173,6 +173,7 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
+    from testbed.importing.convert import concatenated
     from testbed.importing.mapping import sources
     from testbed.view import output
 
@@ -204,21 +205,19 @@ def import_(
         known = reading.robot_of(recordings[0])[0].diagnostics
         report = replace(report, diagnostics=(*known, *report.diagnostics))
     clocks = list(_clock_lines(report, " (corrected)" if align else ""))
-    paths = [str(path) for path in save_pieces(recordings, out, force=force)]
+    concatenated(recordings, cuts).save(out)
     imports = [recording.metadata.report for recording in recordings]
     if as_json:
         document: dict[str, object] = {
             "import": imports if cuts else imports[0],
             "clocks": clocks,
+            "diagnostics": [each.as_dict() for each in report.diagnostics],
         }
-        document["diagnostics"] = [each.as_dict() for each in report.diagnostics]
         if cuts:
-            document |= {"recordings": paths, "cuts": [each.text for each in cuts]}
+            document["cuts"] = [each.text for each in cuts]
         output.print_json(document)
         return
-    several = f"recordings: {', '.join(paths)}; identify takes them together"
-    lines = [*clocks, several if cuts else f"recording: {out}"]
-    _print_imports(imports, lines, cuts, report)
+    _print_imports(imports, [*clocks, f"recording: {out}"], cuts, report)
 
 
 def _print_imports(
@@ -276,35 +275,3 @@ def checked_import(
             progress=bar,
             prepared=prepared,
         )
-
-
-def save_pieces(pieces: Sequence[Recording], out: Path, *, force: bool) -> list[Path]:
-    """Write recordings to `out`, or to its name with a number each if there are several.
-
-    Args:
-        pieces: Recordings, in the order of time.
-        out: File of one.
-        force: Whether files that are there are replaced.
-
-    Returns:
-        The files.
-
-    Raises:
-        BadParameter: A file is there, or one more piece of an older recording is.
-    """
-    from testbed.core.base.files import together
-
-    count = len(pieces)
-    *several, older = (
-        out.with_name(f"{out.stem}-{k + 1}{out.suffix}") for k in range(count + 1)
-    )
-    paths = several if count > 1 else [out]
-    check_outputs(*paths, force=force)
-    if count > 1 and older.exists():
-        raise typer.BadParameter(
-            f"'{older}' is of an older recording, and '{out}' would include it; remove it first"
-        )
-    with together():
-        for recording, path in zip(pieces, paths, strict=True):
-            recording.save(path)
-    return paths

@@ -98,6 +98,7 @@ def minimal(
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
     from testbed.core.dynamics.drive_set import drive_set
+    from testbed.core.dynamics.gravity_rotations import unidentifiable_rotations
     from testbed.core.dynamics.rank_check import verify, verify_drives
     from testbed.core.parameters.minimal_set import minimal_set
     from testbed.core.robot.placeholders import placeholders
@@ -122,8 +123,10 @@ def minimal(
     elif as_latex:
         print_latex(output.console(), found, lengths)
     else:
-        doubts = placeholders(tree).diagnostics
-        output.print_diagnostics(output.console(), (*tree.diagnostics, *doubts))
+        said = [*tree.diagnostics, *placeholders(tree).diagnostics]
+        if any(gravity or ()) and not (tree.floating or tree.is_part):
+            said.append(unidentifiable_rotations(tree, dynamic))
+        output.print_diagnostics(output.console(), said)
         print_sets(output.console(), found, lengths)
     raise typer.Exit(0 if found.hold else 1)
 

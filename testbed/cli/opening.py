@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from itertools import count, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
-from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.base.errors import RecordingError, printable
+from testbed.core.base.errors import RecordingError
 
 if TYPE_CHECKING:
     from testbed.core.recordings.source import Source
@@ -52,23 +48,6 @@ def opened(path: Path) -> Source:
     from testbed.core.recordings.source import open_source
 
     return open_source(path)
-
-
-def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
-    """The same; what a mapping file makes is cut where a source was silent.
-
-    Args:
-        path: Parquet, or TOML for a mapping.
-    """
-    if path.suffix != ".toml":
-        numbered = (path.with_stem(f"{path.stem}-{k}") for k in count(1))
-        parts = [] if path.exists() else [*takewhile(Path.exists, numbered)]
-        for each in parts:
-            typer.echo(printable(f"note: '{each}' is a part of '{path}'"), err=True)
-        return [opened(each) for each in parts or [path]], []
-    from testbed.importing.convert import pieces
-
-    return pieces(path)
 
 
 def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import fields
 from functools import wraps
 from inspect import Parameter, Signature, signature
@@ -13,6 +14,7 @@ import typer
 
 from testbed.core.base.errors import printable
 from testbed.core.base.installation import own_or_shipped
+from testbed.core.robot.gravity import MOUNTINGS, gravity_of
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
@@ -68,7 +70,7 @@ def check_outputs(
 
 
 class Vector(NamedTuple):
-    """Three numbers with commas between them, as 0,0,-9.81."""
+    """Gravity by three numbers, as 0,0,-9.81, or by a word."""
 
     x: float
     y: float
@@ -81,21 +83,20 @@ class Vector(NamedTuple):
     def parse(word: str) -> Vector:
         """The numbers of a word."""
         try:
-            x, y, z = map(float, word.split(","))
-        except ValueError:
-            raise typer.BadParameter(
-                f"'{word}' is no vector; write it as 0,0,-9.81"
-            ) from None
-        return Vector(x, y, z)
+            return Vector(*gravity_of(word))
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
 
 
 def joined_vectors(words: list[str]) -> list[str]:
-    """The command line's words, with `--gravity 0 0 -9.81` written as `--gravity 0,0,-9.81`."""
-    found = list(words)
-    for k, word in enumerate(words):
-        if word == "--gravity" and len(words) > k + 3 and "," not in words[k + 1]:
-            found[k + 1 : k + 4] = [",".join(words[k + 1 : k + 4])]
-    return found
+    """The command line's words, those of `--gravity 0 0 -9.81` or `--gravity wall +x` as one."""
+    first = [*words, "--gravity"].index("--gravity") + 1
+    for last in (first + 2, first + 3):
+        joined = " ".join(words[first:last])
+        with suppress(ValueError):
+            gravity_of(joined)
+            return [*words[:first], joined, *words[last:]]
+    return words
 
 
 OUTPUT, ROBOT = "Output and speed", "Robot"
@@ -243,6 +244,30 @@ Model = Annotated[
     Path,
     typer.Argument(metavar="MODEL", parser=own_or_shipped, help="MJCF or URDF file."),
 ]
+Gravity = Annotated[
+    Vector | None,
+    typer.Option(
+        "--gravity",
+        metavar="X,Y,Z|WORD",
+        parser=Vector.parse,
+        help=f"Gravity [m/s^2] in the base's axes, or {', '.join(MOUNTINGS)}; goes before what "
+        "recording, experiment and model file say.",
+        rich_help_panel=ROBOT,
+    ),
+]
+
+
+def with_gravity(settings: list[str] | None, gravity: Vector | None) -> list[str]:
+    """Words of --set, and of --gravity as the last of them.
+
+    Args:
+        settings: Of an experiment.
+        gravity: None for what the experiment says.
+    """
+    said = [] if gravity is None else [f"gravity={[*gravity]}"]
+    return [*(settings or ()), *said]
+
+
 RobotModel = Annotated[
     Path,
     typer.Option(

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.identifications import ConsistentBodies
-from testbed.cli.opening import corrected_source, opened
 from testbed.cli.options import Fields, Force, check_outputs, command, ending
 from testbed.cli.reading import Reading
 from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered
@@ -27,6 +26,7 @@ RECORDED = Fields(
     "model",
     "settings",
     "zeros",
+    "gravity",
     "weld_root",
     "lock",
     "lock_mimic",
@@ -289,13 +289,11 @@ def _loaded(
     path: Path, reading: Reading
 ) -> tuple[Reading, Recording, Sequence[Diagnostic]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
-    reading, source = reading.of_recording(opened(path))
-    accepted = reading.accepted(source)
-    return (
-        reading,
-        _in_memory(corrected_source(source, reading.tree, reading.plate)),
-        accepted,
-    )
+    from testbed.core.recordings.source import gathered
+
+    reading, segments, accepted = reading.segments(path)
+    parts = [_in_memory(segment) for segment in segments]
+    return reading, parts[0] if len(parts) == 1 else gathered(parts), accepted
 
 
 def _in_memory(source: Source) -> Recording:

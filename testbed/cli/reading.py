@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli.opening import corrected_source, opened_pieces, require_different
-from testbed.cli.options import OUTPUT, ROBOT, Vector
+from testbed.cli.opening import corrected_source, opened, require_different
+from testbed.cli.options import OUTPUT, ROBOT, Gravity
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.installation import own_or_shipped
 from testbed.core.base.stages import stage
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from testbed.bodies.prior import Prior
     from testbed.core.estimation.estimate import Estimate, Method
     from testbed.core.estimation.sensor.correction import CalibrationCovariance
+    from testbed.core.recordings.recording import Recording
     from testbed.core.recordings.source import Source
     from testbed.core.robot.model_file import ModelFile
     from testbed.core.robot.tree import Tree
@@ -65,15 +66,7 @@ class Reading:
             help="Fix a parameter to zero, e.g. mb1x; repeatable.",
         ),
     ] = None
-    gravity: Annotated[
-        Vector | None,
-        typer.Option(
-            metavar="X,Y,Z",
-            parser=Vector.parse,
-            help="Gravity [m/s^2]; default from the recording or the model file.",
-            rich_help_panel=ROBOT,
-        ),
-    ] = None
+    gravity: Gravity = None
     sensor: Annotated[
         str | None,
         typer.Option(
@@ -251,8 +244,6 @@ class Reading:
     def joined(self, paths: Sequence[Path]) -> tuple[Reading, Source, list[Diagnostic]]:
         """Recordings as one source, each held against the robot, and what to doubt of them.
 
-        Of one that is cut where a source was silent, the longest piece is.
-
         Returns:
             How the model is read, with joints held that do not move; the source; doubts.
 
@@ -268,17 +259,31 @@ class Reading:
         reading = self
         for path in paths:
             with output.Progress("checking the recording against the robot"):
-                pieces, cuts = opened_pieces(path)
-                made = []
-                for piece in pieces:
-                    reading, source = reading.of_recording(piece)
-                    made.append(corrected_source(source, reading.tree, self.plate))
-                longest = max(made, key=lambda source: source.samples)
-                own = [*cuts, *reading.accepted(longest)]
+                reading, segments, own = reading.segments(path)
             named = path.name if len(paths) > 1 else ""
             said += [replace(each, recording=named) if named else each for each in own]
-            sources += made
+            sources += segments
         return reading.holding(joined(sources), said)
+
+    def segments(
+        self, path: Path
+    ) -> tuple[Reading, list[Source], tuple[Diagnostic, ...]]:
+        """Segments of a recording, the longest held against the robot, and what to doubt of it.
+
+        Raises:
+            RecordingError: It cannot be true of this robot.
+        """
+        from testbed.core.recordings.source import by_segments
+
+        reading, source = self.of_recording(opened(path))
+        segments = [
+            corrected_source(segment, reading.tree, self.plate)
+            for segment in by_segments(source)
+        ]
+        longest = max(segments, key=lambda each: each.samples)
+        if len(segments) > 1:
+            longest = longest.part(0, longest.samples)
+        return reading, segments, reading.accepted(longest)
 
     def of_recording(self, source: Source) -> tuple[Reading, Source]:
         """How the model is read for a recording, and the recording as its robot's.
@@ -289,8 +294,14 @@ class Reading:
             RecordingError: The recording moves a joint of --lock.
         """
         from testbed.core.recordings.held import hold_still
-        from testbed.core.recordings.views import on_its_base
+        from testbed.core.recordings.views import on_its_base, transformed
 
+        if (gravity := self.gravity) is not None:
+
+            def under_gravity(part: Recording) -> Recording:
+                return replace(part, metadata=replace(part.metadata, gravity=gravity))
+
+            source = transformed(source, under_gravity)
         file, fewer, _ = hold_still(self.file, source, lock_only=True)
         reading = replace(self, resolved=file).with_sensors(source).on_its_root(source)
         return reading, on_its_base(fewer, reading.tree)

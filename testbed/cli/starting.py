@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 from packaging.requirements import Requirement
 
-from testbed.cli.importing import checked_import, save_pieces, write_mapping
+from testbed.cli.importing import checked_import, write_mapping
 from testbed.cli.options import Fields, Force, Json, check_outputs, command
 from testbed.cli.reading import Reading
 from testbed.core.base.installation import DISTRIBUTION, own_or_shipped
@@ -146,6 +146,7 @@ def _recorded(
     files: list[Path], mapping: Path, reading: Reading, *, force: bool
 ) -> None:
     """Write a mapping for logs, and the recording that it makes of a robot."""
+    from testbed.importing.convert import concatenated
     from testbed.importing.import_report import ImportReport
     from testbed.view import output
 
@@ -160,18 +161,15 @@ def _recorded(
     recordings, cuts, report = checked_import(
         mapping, reading, prepared=solution.prepared
     )
-    paths = save_pieces(recordings, made, force=force)
-    listed, taken = (
-        (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
-    )
-    words = ["identify", taken, "--model", robot]
+    concatenated(recordings, cuts).save(made)
+    words = ["identify", made, "--model", robot]
     # the plate's frame and clock are known to a sigma only
     if recordings[0].wrench is not None:
         words += ["--set", 'identification.nuisances=["pose","skew"]']
     imported = ImportReport.from_dict(recordings[0].metadata.report).diagnostics
     said = [*cuts, *imported, *report.diagnostics]
     output.print_result(
-        lines=[f"{listed}: testbed {shlex.join(map(str, words))}"],
+        lines=[f"{made}: testbed {shlex.join(map(str, words))}"],
         diagnostics=[each for each in said if each not in solution.diagnostics],
     )
 

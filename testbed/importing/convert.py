@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as Table
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from testbed.core.base.errors import WIDTH, RecordingError, UnknownName, few, pl
 from testbed.core.recordings.columns import check_columns, members_of
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.repeats import held_share, slow_device
+from testbed.core.recordings.source import gathered
 from testbed.importing.derivative import derivatives
 from testbed.importing.encoder_steps import without_turns
 from testbed.importing.foreign_table import MOST_NUMBERS, ForeignTable
@@ -105,7 +106,8 @@ def pieces(
 ) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
     """Recordings that a mapping file makes, in the order of time, and where it was cut.
 
-    What was found on the way is in `metadata.report`, what to doubt in `metadata.diagnostics`.
+    Times are since the first recording's first sample. What was found on the way is in
+    `metadata.report`, what to doubt in `metadata.diagnostics`.
 
     Args:
         path: The mapping file, TOML; the files it names are relative to it.
@@ -128,12 +130,13 @@ def pieces(
             for each in streams.values()
         ]
         windows, cuts = cut(_window(mapping, streams), clocks)
-        recordings = []
-        for window in windows:
-            columns, metadata = _converted(mapping, streams, window)
+        sampled = [_on_grid(mapping, streams, window) for window in windows]
+        origin, recordings = float(sampled[0][1][0]), []
+        for samples, grid in sampled:
+            columns, metadata = _converted(mapping, streams, samples, grid, origin)
             recording = Recording.from_columns(columns, metadata, str(path))
             recording = without_stated_errors(mapping, recording)
-            check_columns(recording.columns(), str(path))
+            check_columns(recording.columns(), str(path), recording.segments)
             recordings.append(recording)
     except (RecordingError, UnknownName) as error:
         error.args = (_with_files(path, mapping, str(error)),)
@@ -149,15 +152,30 @@ def import_recording(path: str | Path) -> Recording:
 
     Raises:
         ExperimentError: The mapping is not understood.
-        RecordingError: As `pieces`, or a source was silent for too long.
+        RecordingError: As `pieces`.
     """
-    (recording, *_), cuts = pieces(Path(path))
-    if cuts:
-        raise RecordingError(
-            f"{path}: {cuts[0].text} by `testbed import`; `start` and `stop` take one part, "
-            "`max_gap` bridges it"
-        )
-    return recording
+    return concatenated(*pieces(Path(path)))
+
+
+def concatenated(
+    recordings: Sequence[Recording], cuts: Sequence[Diagnostic]
+) -> Recording:
+    """One recording of all that a mapping file makes; metadata are the longest's.
+
+    Args:
+        recordings: As of `pieces`.
+        cuts: Between them.
+    """
+    if not cuts:
+        return recordings[0]
+    longest = max(recordings, key=lambda each: each.samples)
+    diagnostics = (d for each in recordings for d in each.metadata.diagnostics)
+    metadata = replace(
+        longest.metadata,
+        gaps=tuple(float(each.time[0]) for each in recordings[1:]),
+        diagnostics=(*cuts, *dict.fromkeys(diagnostics)),
+    )
+    return replace(gathered(recordings), metadata=metadata)
 
 
 def _with_files(path: Path, mapping: Mapping, said: str) -> str:
@@ -190,15 +208,25 @@ def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float
     }
 
 
-def _converted(
+def _on_grid(
     mapping: Mapping, streams: Table[str, _Stream], window: Window
-) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Columns and metadata of a recording of a part of the time."""
+) -> tuple[dict[str, _Samples], Array]:
+    """Samples of all signals in a window, and the recording's instants there [s]."""
     samples = {
         label: _samples(mapping, label, each, window) for label, each in streams.items()
     }
-    grid = _grid(mapping, samples.values(), window)
-    columns: dict[str, Array] = {"time": grid - grid[0]}
+    return samples, _grid(mapping, samples.values(), window)
+
+
+def _converted(
+    mapping: Mapping,
+    streams: Table[str, _Stream],
+    samples: Table[str, _Samples],
+    grid: Array,
+    origin: float,
+) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Columns and metadata of a recording at instants, times since an origin."""
+    columns: dict[str, Array] = {"time": grid - origin}
     clocks: dict[str, ClockReport] = {}
     for label, each in streams.items():
         check_units(label, each.table, each.file)
@@ -206,7 +234,7 @@ def _converted(
         made = _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
         # plates add up
         columns |= {name: made[name] + columns.get(name, 0.0) for name in made}
-        clock = replace(got.clock, lead=float(grid[0] - each.begin), cut=each.file.cut)
+        clock = replace(got.clock, lead=origin - each.begin, cut=each.file.cut)
         if clocks.setdefault(name, clock) != clock:  # other samples are missing
             clocks[f"{name}, {label}"] = clock
     reports = {label: got.report for label, got in samples.items()}

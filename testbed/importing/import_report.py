@@ -141,7 +141,8 @@ def in_mapping(lines: Iterable[Line]) -> str:
     """
     last = {(table, key): value for table, key, value in lines}
     return "in the mapping: " + "; ".join(
-        f"[{table}] {key} = {in_toml(value)}" for (table, key), value in last.items()
+        f"[{table}] {key} = {in_toml(value)}".removeprefix("[] ")
+        for (table, key), value in last.items()
     )
 
 

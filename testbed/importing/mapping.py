@@ -11,7 +11,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    model_validator,
+)
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, plural
@@ -23,6 +29,7 @@ from testbed.core.base.toml_text import (
     checked,
     read_toml,
 )
+from testbed.core.robot.gravity import MOUNTINGS, gravity_of
 from testbed.importing.foreign_table import KINDS, check_unit, slides
 
 
@@ -38,9 +45,6 @@ Three = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Six = Annotated[list[Finite], Field(min_length=6, max_length=6)]
 Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
 Sign = Literal[1, -1]
-VERTICAL = (0.0, 0.0, -9.81)
-"""Gravity where nothing is said of it, as of model files [m/s^2]."""
-
 Columns = Annotated[list[str], Field(min_length=1, max_length=1000)]
 
 
@@ -213,7 +217,7 @@ class WrenchTable(SixAxisTable):
         if self.pedestal is None or self.pedestal == "included":
             return None
         mass = 0.0 if self.pedestal == "removed" else self.pedestal
-        return np.append(-mass * np.array(gravity or VERTICAL), np.zeros(3))
+        return np.append(-mass * np.array(gravity or MOUNTINGS["level"]), np.zeros(3))
 
 
 class BaseTable(MappingTable):
@@ -252,8 +256,9 @@ class Mapping(MappingTable):
     """End so long after that beginning [s]; default where the first source ends."""
     lock: Annotated[dict[Name, Finite], Field(max_length=1000)] = {}
     """Joints of the model file without columns, and where they are held [rad or m]."""
-    gravity: Three | None = None
-    """(gx, gy, gz) [m/s^2], bedplate frame; default the model file's."""
+    gravity: Annotated[Three, BeforeValidator(gravity_of)] | None = None
+    """(gx, gy, gz) [m/s^2], bedplate frame, or how it is mounted: "level", "ceiling", "wall +x",
+    "wall -x", "wall +y", "wall -y", "none"; default the model file's."""
     sources: Annotated[dict[str, SourceTable], Field(min_length=1, max_length=100)]
     """By names of your own."""
     errors: Annotated[dict[Name, Finite], Field(max_length=1000)] = {}

@@ -55,7 +55,7 @@ class ClockReport:
         gaps: Steps of more than 1.5 sampling times.
         longest_gap: Longest step [s].
         repeated: Samples left out because stamp and values were those of the one before.
-        lead: From its first sample to the recording's first instant [s].
+        lead: From its first sample to the origin of the recording's times [s].
         cut: Whether a last sample was incomplete and is left out.
         even: Whether the stamps can be those of a constant rate.
         missing: Samples that the gaps leave out, or that have no numbers.

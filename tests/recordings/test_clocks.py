@@ -144,15 +144,18 @@ def test_gaps_are_bridged_or_cut_and_time_that_repeats_or_runs_back_is_named(log
     long = np.arange(0, 10, 2e-3)
     silent = (long > 2) & (long < 3.5) | (long > 3.7) & (long < 5)
     logs.write(long[~silent], long[(long < 7.5) | (long > 8)])
-    with refuses(RecordingError, "testbed import"):
-        logs.recording()
+    whole = logs.recording()
     parts, said = pieces(logs.folder / "map.toml")
+    for part, segment in zip(parts, whole.segments, strict=True):
+        np.testing.assert_array_equal(whole.part(*segment).position, part.position)
+    assert [*whole.metadata.diagnostics] == said
     ends = [(round(part.samples / part.rate, 2), round(part.rate, 6)) for part in parts]
     assert ends == [(2.0, 500.0), (2.5, 500.0), (2.0, 500.0)]
     codes = [*["import.cut"] * 3, "import.short"]  # and that a piece was left out
     assert [each.code for each in said] == codes
     for part, begin in zip(parts, (0.0, 5.0, 8.0), strict=True):
         at = begin + part.time - part.time[0]
+        assert part.time[0] == pytest.approx(begin, abs=3e-3)
         apart = [np.abs(part.position[:, 0] - signal(at + k * 2e-3)).max() for k in (0, 1)]
         assert min(apart) < 1e-6  # it begins with a sample, or with the next
     logs.write(CLOCK, np.delete(CLOCK, slice(800, 1000)))

@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.core.base.errors import RecordingError
+from testbed.applications.validate import motion_in
+from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.recordings.columns import check_times
 from testbed.core.recordings.formats import parquet
 from testbed.core.recordings.geometry import TOLERANCE, check_robot, geometry
@@ -285,6 +286,44 @@ def test_recordings_as_one_have_what_all_have_and_the_first_ones_tare() -> None:
         assert part.torque is None
         wrench = plain.part(first, last).measured("wrench")
         np.testing.assert_allclose(part.measured("wrench"), wrench, atol=1e-9)
+
+
+def test_a_recording_with_a_gap_is_one_file_and_its_segments_are_read_as_recordings(
+    tmp_path: Path,
+) -> None:
+    """In memory and from a file, of one's joints only, too; what is shown is the longest."""
+    tree, path = robot("puma"), tmp_path / "r.parquet"
+    made = measured(tree, 3, duration=5.0)
+    first, begin, end = made.samples // 3, made.samples // 2, made.samples
+    parts = [replace(made.part(0, first), tare=made.tare), made.part(begin, end)]
+    gaps = (float(parts[1].time[0]), 1e3)  # the other one is not of it
+    whole = replace(gathered(parts), metadata=replace(made.metadata, gaps=gaps))
+    whole.save(path)
+    loaded, stored = Recording.load(path), open_source(path)
+    same(loaded, whole)
+    segments = ((0, first), (first, first + end - begin))
+    for each in (whole, loaded, stored, held_without(stored, whole.names[:1])):
+        assert each.segments == segments
+        assert each.rate == pytest.approx(made.rate)
+    assert loaded.part(*segments[1]).rate == parts[1].rate
+    assert loaded.part(first - 9, first + 9).segments == ((0, 9), (9, 18))
+    joined, apart = Joined([stored, parts[0]]), Joined([*parts, parts[0]])
+    assert joined.segments == apart.segments
+    for segment in apart.segments:
+        for name, values in apart.part(*segment).columns().items():
+            np.testing.assert_array_equal(joined.part(*segment).columns()[name], values)
+    wanted = tb.identify(tree, Joined(parts))
+    for shown in (whole, path, Joined([whole])):
+        np.testing.assert_array_equal(tb.identify(tree, shown).values, wanted.values)
+    motion, inner = motion_in(whole)
+    alone, own = motion_in(parts[1])
+    np.testing.assert_array_equal(motion.qdd, alone.qdd)
+    assert inner == slice(own.start + first, own.stop + first)
+    with refuses(SettingsError, "gap"):
+        tb.identify(tree, path, settings=tb.Settings(span=(0.0, 1.0)))
+    replace(whole, metadata=made.metadata).save(path)
+    with refuses(RecordingError, "uniform", f"sample {first - 1}"):
+        Recording.load(path)
 
 
 def test_a_base_that_was_measured_is_six_joints_more_in_memory_and_in_a_file(

@@ -34,6 +34,7 @@ from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.columns import check_samples
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
+from testbed.core.recordings.joined import Joined
 from testbed.core.recordings.repeats import without_repeated_poses
 from testbed.core.recordings.source import RecordingLike, Source, counted, open_source
 from testbed.core.recordings.views import (
@@ -234,9 +235,10 @@ def samples_of(recording: RecordingLike, settings: Settings) -> Source:
         return counted(source, settings.span)
     if settings.span is not None:
         raise SettingsError(
-            "identification.span is about one recording; of several, cut each where it is imported"
+            "identification.span is about one recording without a gap; cut others where they are "
+            "imported"
         )
-    return source
+    return Joined([source])
 
 
 def check_source(source: Source, tree: Tree, method: Method) -> None:

@@ -8,6 +8,7 @@ Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -125,12 +126,30 @@ def check_samples(count: int, source: str) -> None:
         )
 
 
-def check_columns(columns: Mapping[str, Array], source: str) -> None:
-    """Whether every value is a measurement and the sampling is uniform.
+Segments = tuple[tuple[int, int], ...]
+"""Blocks without a gap: the first sample of each, and the one after its last."""
+
+
+def segments_of(time: Array, gaps: Sequence[float]) -> Segments:
+    """Segments of a recording.
+
+    Args:
+        time: Of its samples, (M,) [s].
+        gaps: Times of the first samples after gaps [s]; others than its own change nothing.
+    """
+    edges = sorted({0, *np.searchsorted(time, gaps).tolist(), len(time)})
+    return tuple(pairwise(edges)) or ((0, 0),)
+
+
+def check_columns(
+    columns: Mapping[str, Array], source: str, segments: Segments
+) -> None:
+    """Whether every value is a measurement and the sampling is uniform but for gaps.
 
     Args:
         columns: All measured columns, (M,) each, `time` among them.
         source: What the recording is called.
+        segments: Between the gaps.
 
     Raises:
         RecordingError: Names the first bad channel, sample and time.
@@ -138,7 +157,9 @@ def check_columns(columns: Mapping[str, Array], source: str) -> None:
     time = columns["time"]
     check_samples(len(time), source)
     check_values(columns, source)
-    check_times(time, source, float(np.median(np.diff(time))))
+    typical = float(np.median(np.diff(time)))
+    for first, last in segments:
+        check_times(time[first:last], source, typical, first)
 
 
 def check_values(columns: Mapping[str, Array], source: str, first: int = 0) -> None:

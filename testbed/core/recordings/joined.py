@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import DerivedSource, Source, counted
+from testbed.core.recordings.source import DerivedSource, Source, by_segments, counted
 
 
 class Joined(DerivedSource):
@@ -24,12 +24,14 @@ class Joined(DerivedSource):
         """Recordings of one robot at one rate.
 
         Args:
-            parts: In any order; nothing is said of what happened between them.
+            parts: In any order; nothing is said of what happened between them, or in their gaps.
 
         Raises:
             RecordingError: They do not belong together.
         """
-        self._parts = tuple(counted(part) for part in parts)
+        self._parts = tuple(
+            counted(segment) for part in parts for segment in by_segments(part)
+        )
         first = self._parts[0]
         _check_alike(self._parts)
         lengths = np.array([part.samples for part in self._parts])
@@ -47,7 +49,9 @@ class Joined(DerivedSource):
         said = dict.fromkeys(
             d for part in self._parts for d in part.metadata.diagnostics
         )
-        self.metadata = replace(first.metadata, counted=None, diagnostics=tuple(said))
+        self.metadata = replace(
+            first.metadata, counted=None, gaps=(), diagnostics=tuple(said)
+        )
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, all of one recording, without the truth."""
@@ -55,12 +59,13 @@ class Joined(DerivedSource):
             if begin <= first and last <= end:
                 found = part.part(first - begin, last - begin)
                 changed: dict[str, Any] = {"tare": self.tare}
+                changed["metadata"] = replace(found.metadata, gaps=())
                 if (
                     found.wrench is not None
                     and part.tare is not None
                     and self.tare is not None
                 ):
-                    changed["wrench"] = found.wrench - part.tare + self.tare
+                    changed["wrench"] = found.wrench + (self.tare - part.tare)
                 changed |= dict.fromkeys(
                     s for s in found.signals if s not in self.signals
                 )

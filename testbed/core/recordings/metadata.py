@@ -51,6 +51,7 @@ class Metadata:
         gravity: (gx, gy, gz) [m/s^2], bedplate frame.
         geometry: Of the joints, by name.
         counted: Times of the samples that count [s].
+        gaps: Times of the first samples after gaps [s].
         sensors: Places of force sensors in the robot, by name.
         segment: Force sensor whose wrench it is, and those beyond which nothing is in it.
         effort: By joint, what its torque was made of: "current", "pwm", "motor" or "torque".
@@ -67,6 +68,7 @@ class Metadata:
     gravity: Three | None = None
     geometry: Mapping[str, JointGeometry] = field(default_factory=dict)
     counted: tuple[float, float] | None = None
+    gaps: tuple[float, ...] = ()
     sensors: Mapping[str, Table] = field(default_factory=dict)
     segment: tuple[str, ...] = ()
     effort: Mapping[str, str] = field(default_factory=dict)

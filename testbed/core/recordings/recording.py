@@ -23,10 +23,12 @@ from testbed.core.recordings.columns import (
     SIGNALS,
     TRUE_JOINT_SIGNALS,
     TRUE_SIGNALS,
+    Segments,
     check_columns,
     check_sampling_time,
     joints_in,
     members_of,
+    segments_of,
     sensors_in,
     signal_of,
     unit_of,
@@ -65,6 +67,8 @@ class Truth:
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Summarized):
     """M samples of encoders, and of motor torques or the plate or both, at a constant rate.
+
+    Samples may be missing: `segments` are without a gap.
 
     Attributes:
         names: Joint names; the order of all joint columns.
@@ -123,9 +127,9 @@ class Recording(Summarized):
         return len(self.time)
 
     @property
-    def segments(self) -> tuple[tuple[int, int], ...]:
+    def segments(self) -> Segments:
         """Blocks without a gap: the first sample of each, and the one after its last."""
-        return ((0, self.samples),)
+        return segments_of(self.time, self.metadata.gaps)
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -144,9 +148,10 @@ class Recording(Summarized):
         Raises:
             RecordingError: Its times are no times of samples.
         """
-        length = float(self.time[-1] - self.time[0])
-        check_sampling_time(length / max(self.samples - 1, 1), "the recording")
-        return (self.samples - 1) / length
+        first, last = self.segments[0]
+        length, steps = float(self.time[last - 1] - self.time[first]), last - first - 1
+        check_sampling_time(length / max(steps, 1), "the recording")
+        return steps / length
 
     def measured(self, signal: str) -> Array:
         """A signal that must be there, (M, n), (M, 6) or (M,).
@@ -291,7 +296,7 @@ class Recording(Summarized):
                 else _split(name, values, robot.names, ())
             )
         found = Recording.from_columns(columns, {}, "the frame")
-        check_columns(found.columns(), "the frame")
+        check_columns(found.columns(), "the frame", found.segments)
         return found.ordered(robot)
 
     def to_frame(self) -> Any:
@@ -342,7 +347,7 @@ class Recording(Summarized):
         wanted = [column for column in table.columns if signal_of(column) in READ]
         columns = table.read(wanted, 0, table.samples)
         recording = Recording.from_columns(columns, table.metadata, str(path))
-        check_columns(recording.columns(), str(path))
+        check_columns(recording.columns(), str(path), recording.segments)
         return recording
 
 

@@ -16,9 +16,11 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.columns import (
     SIGNALS,
+    Segments,
     check_samples,
     check_sampling_time,
     check_values,
+    segments_of,
     signal_of,
 )
 from testbed.core.recordings.metadata import Metadata
@@ -71,14 +73,14 @@ class DerivedSource:
         )
         self.signals, self.senses_kinematics = header.signals, header.senses_kinematics
         self.samples, self.rate = samples, rate
-        self.segments: tuple[tuple[int, int], ...] = ((0, samples),)
+        self.segments: Segments = ((0, samples),)
 
 
 class StoredRecording(DerivedSource):
     """A recording that stays in its file; parts are read as they are asked for."""
 
     def __init__(self, path: str | Path) -> None:
-        """Open a file; reads its ends only.
+        """Open a file; reads its ends only, and all times where there are gaps.
 
         Raises:
             RecordingError: The file is missing or damaged, a channel is missing, or its times
@@ -93,11 +95,15 @@ class StoredRecording(DerivedSource):
         check_samples(samples, str(path))
         start = self.part(0, 1)
         super().__init__(start, samples, 0.0)
-        last = self._table.read(["time"], samples - 1, samples)["time"]
+        if gaps := self.metadata.gaps:
+            time = self._table.read(["time"], 0, samples)["time"]
+            self.segments = segments_of(time, gaps)
+        steps = self.segments[0][1] - 1
+        last = self._table.read(["time"], steps, steps + 1)["time"]
         length = float(last[0] - start.time[0])
         if 0 < length < math.inf:  # else the part says so in which it happens
-            check_sampling_time(length / (samples - 1), str(path))
-            self.rate = (samples - 1) / length
+            check_sampling_time(length / steps, str(path))
+            self.rate = steps / length
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1; cheap where parts are asked for in their order.
@@ -144,7 +150,7 @@ class Source(Protocol):
         """Whether velocities and accelerations were sensed, both."""
 
     @property
-    def segments(self) -> tuple[tuple[int, int], ...]:
+    def segments(self) -> Segments:
         """As `Recording.segments`."""
 
     def part(self, first: int, last: int) -> Recording:
@@ -176,6 +182,26 @@ class Stretch(DerivedSource):
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1 of the stretch, without the truth."""
         return self._whole.part(self._first + first, self._first + last)
+
+
+def by_segments(source: Source) -> list[Source]:
+    """The segments of a source, each a source; itself where it has no gap.
+
+    Args:
+        source: The recording.
+    """
+    if len(source.segments) == 1:
+        return [source]
+    return [Stretch(source, first, last) for first, last in source.segments]
+
+
+def longest_segment(source: Source) -> tuple[int, int]:
+    """First sample of the longest segment, and the one after its last.
+
+    Args:
+        source: The recording.
+    """
+    return max(source.segments, key=np.ptp)
 
 
 def open_source(what: RecordingLike) -> Source:

@@ -23,6 +23,7 @@ from testbed.core.base.diagnostics import Diagnosed, Diagnostic
 from testbed.core.base.errors import ModelError, SettingsError, UnknownName, plural
 from testbed.core.base.summary_table import SummaryTable, Value
 from testbed.core.base.transform import Transform
+from testbed.core.robot.gravity import gravity_of
 from testbed.core.robot.inertia import NOTHING, Inertia
 
 Kind = Literal["revolute", "prismatic"]
@@ -330,8 +331,11 @@ class Tree(Diagnosed, Value):
 
         Raises:
             ModelError: It is not three finite numbers.
+            SettingsError: It is a text, and none of `MOUNTINGS`.
         """
-        vector = _numbers(self.gravity if gravity is None else gravity, (3,))
+        vector = _numbers(
+            gravity_of(self.gravity if gravity is None else gravity), (3,)
+        )
         if vector is None or not np.isfinite(vector).all():
             raise ModelError(
                 f"gravity is three finite numbers [m/s^2], found {gravity!s:.60}"

@@ -9,16 +9,14 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.evidence import Evidence, evidence
+from testbed.core.robot.gravity import MOUNTINGS, SIZE
 from testbed.importing.check.remedies import Hypothesis
 from testbed.importing.check.torque_readings import LogReading, TorqueCase
 
 AXES = {
-    "level": np.array([0.0, 0.0, -1.0]),
-    "ceiling": np.array([0.0, 0.0, 1.0]),
-    "wall +x": np.array([1.0, 0.0, 0.0]),
-    "wall -x": np.array([-1.0, 0.0, 0.0]),
-    "wall +y": np.array([0.0, 1.0, 0.0]),
-    "wall -y": np.array([0.0, -1.0, 0.0]),
+    name: np.array(gravity) / SIZE
+    for name, gravity in MOUNTINGS.items()
+    if any(gravity)
 }
 """Directions of gravity in the base's frame, by how a robot is mounted."""
 

@@ -14,6 +14,7 @@ from testbed.core.base.arrays import AnyArray, Array
 from testbed.core.base.errors import few, round_significant
 from testbed.core.recordings.columns import AXES
 from testbed.core.robot.free_base import FREE, coordinates, poses
+from testbed.core.robot.gravity import MOUNTINGS
 from testbed.core.robot.rotations import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.foreign_table import LENGTHS, factor
@@ -312,7 +313,8 @@ def _lines(
     if hypothesis.kind == "gravity_removed":
         return  # no line of a mapping says so
     if hypothesis.kind == "gravity":
-        yield "", "gravity", list(hypothesis.values)
+        words = (word for word, g in MOUNTINGS.items() if g == [*hypothesis.values])
+        yield "", "gravity", next(words, list(hypothesis.values))
         return
     for name, table in tables_of(mapping, signal).items():
         if signal == "wrench":

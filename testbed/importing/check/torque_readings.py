@@ -10,6 +10,7 @@ from scipy.special import log_ndtr
 
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.evidence import Evidence, evidence
+from testbed.core.robot.gravity import SIZE
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.body_prior import BodyPrior
 from testbed.importing.check.remedies import Hypothesis
@@ -32,9 +33,6 @@ DRIVES = 15.0
 
 CORRELATED = 0.05
 """Autocorrelation of residuals from which they are correlated."""
-
-STANDARD_GRAVITY = 9.81
-"""Size of gravity where a log is told that there is none [m/s^2]."""
 
 SCREENED = 80
 """Instants by which readings of other positions are compared at first."""
@@ -134,7 +132,7 @@ class TorqueCase:
     @cached_property
     def standard(self) -> float:
         """Size of gravity [m/s^2]."""
-        return float(np.linalg.norm(self.gravity)) or STANDARD_GRAVITY
+        return float(np.linalg.norm(self.gravity)) or SIZE
 
     @cached_property
     def products(self) -> TorqueProducts:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tomli_w
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.diagnostics import Diagnostic
@@ -20,6 +20,7 @@ from testbed.core.base.errors import ExperimentError
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.base.toml_text import Finite, checked, override, read_toml
 from testbed.core.estimation.settings import Settings
+from testbed.core.robot.gravity import gravity_of
 from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.lab.experiment.experiment_tables import (
     ExcitationTable,
@@ -45,8 +46,16 @@ class Experiment(Summarized, RobotTables):
     """Model file, MJCF or URDF, relative to the experiment file."""
     seed: Annotated[int, Field(ge=0, lt=2**128)] = 0
     """Of the motion and of all noise."""
-    gravity: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = None
-    """(gx, gy, gz) [m/s^2], bedplate frame; default the model file's."""
+    gravity: (
+        Annotated[
+            list[Finite],
+            Field(min_length=3, max_length=3),
+            BeforeValidator(gravity_of),
+        ]
+        | None
+    ) = None
+    """(gx, gy, gz) [m/s^2], bedplate frame, or how it is mounted: "level", "ceiling", "wall +x",
+    "wall -x", "wall +y", "wall -y", "none"; default the model file's."""
     weld_root: bool = False
     """Weld a floating root to the bedplate."""
     motion: MotionTable = MotionTable()

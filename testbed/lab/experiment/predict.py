@@ -20,6 +20,7 @@ from testbed.core.estimation.information import Information
 from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import longest_segment
 from testbed.lab.experiment.run import Run, shown_motion
 from testbed.sensors.corrected import corrected
 
@@ -159,11 +160,12 @@ class Predictions(Summarized):
 
 
 def _without_faults(run: Run, recording: Recording) -> Recording:
-    """The recording, faults that an estimate of the run has found taken back."""
+    """The longest segment, faults that an estimate has found taken back; else the recording."""
     external = run.estimates.get("external")
     if external is None or not external.nuisances:
         return recording
-    source = corrected(recording, run.tree, external.sensor_errors)
+    part = recording.part(*longest_segment(recording))
+    source = corrected(part, run.tree, external.sensor_errors)
     return source.part(0, source.samples)
 
 

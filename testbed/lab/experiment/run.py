@@ -41,6 +41,7 @@ from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import longest_segment
 from testbed.core.recordings.views import on_its_base, with_gear
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
@@ -58,12 +59,11 @@ def shown_motion(recording: Recording, settings: Settings) -> tuple[Motion, slic
     try:
         return motion_in(recording, settings)
     except RecordingError:
-        step = 1 / recording.rate
-        speed = np.gradient(recording.position, step, axis=0)
-        rates = speed, np.gradient(speed, step, axis=0)
-        return Motion(recording.time, recording.position, *rates), slice(
-            0, recording.samples
-        )
+        first, last = longest_segment(recording)
+        shown = recording.part(first, last)
+        speed = np.gradient(shown.position, 1 / shown.rate, axis=0)
+        rates = speed, np.gradient(speed, 1 / shown.rate, axis=0)
+        return Motion(shown.time, shown.position, *rates), slice(first, last)
 
 
 CLOSE = 0.9
@@ -341,6 +341,8 @@ def _diagnostics(run: Run, bodies_failure: TestbedError | None) -> Iterator[Diag
         found += systematic_errors(run.estimates[method], errors)
     for estimate in run.estimates.values():
         found += correlated(estimate)
+    if len(run.recording.segments) > 1:
+        found.append(diagnose("recording.longest", value=len(run.recording.segments)))
     known = run.recording.metadata.diagnostics
     every = ordered([*missing, *run.tree.diagnostics, *known, *found])
     yield from of_instrument(every, sensor_of(run.tree))
