@@ -148,6 +148,8 @@ class SignalTable(MappingTable):
     Default: torques that seem to have such a bit are refused."""
     delay: Finite = 0.0
     """How late the signal is, besides its source's clock: a filter in the drive [s]."""
+    gravity: Literal["removed"] | None = None
+    """Of torques: whether the driver has subtracted the model file's gravity, which is added."""
 
     @property
     def units(self) -> list[str]:

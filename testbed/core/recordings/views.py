@@ -11,7 +11,13 @@ import numpy as np
 
 from testbed.core.base.arrays import Array, apply
 from testbed.core.base.errors import RecordingError
-from testbed.core.dynamics.newton_euler import pedestal_wrench, wrench_transforms
+from testbed.core.dynamics.newton_euler import (
+    Motion,
+    joint_forces,
+    pedestal_wrench,
+    wrench_transforms,
+)
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.free_base import COORDINATES, coordinates
@@ -261,6 +267,8 @@ def on_its_base(source: Source, tree: Tree) -> Source: ...
 def on_its_base(source: Source, tree: Tree) -> Source:
     """A source as a robot's: on a base that joints move, or whose pose was measured.
 
+    Torques from which the model file's gravity was subtracted are those of the drives again.
+
     Args:
         source: The recording.
         tree: The robot.
@@ -272,7 +280,36 @@ def on_its_base(source: Source, tree: Tree) -> Source:
         source = transformed(source, with_base_joints)
     if tree.is_part and source.metadata.segment != _segment_of(tree):
         source = transformed(source, partial(of_segment, tree=tree))
+    if "torque" in source.signals and _lacks_gravity(source.metadata):
+        source = transformed(source, partial(with_gravity_torques, tree=tree))
     return source
+
+
+def _lacks_gravity(metadata: Metadata) -> bool:
+    """Whether a mapping says that the model file's gravity was subtracted from torques."""
+    torque = (metadata.mapping or {}).get("torque")
+    return isinstance(torque, Mapping) and torque.get("gravity") == "removed"
+
+
+def with_gravity_torques(recording: Recording, tree: Tree) -> Recording:
+    """A recording of torques to which those of the model file's gravity are added.
+
+    Args:
+        recording: With torques that its driver had compensated.
+        tree: The robot as the driver knows it.
+    """
+    part = recording.ordered(tree)
+    still = np.zeros_like(part.position)
+    motion = Motion(part.time, part.position, still, still)
+    weight = joint_forces(tree, motion, part.metadata.gravity)
+    mapping = dict(part.metadata.mapping or {})
+    mapping["torque"] = {k: v for k, v in mapping["torque"].items() if k != "gravity"}
+    return replace(
+        part,
+        torque=part.measured("torque") + weight,
+        truth=None,
+        metadata=replace(part.metadata, mapping=mapping),
+    )
 
 
 def transformed(source: Source, transform: Callable[[Recording], Recording]) -> Source:

@@ -310,8 +310,6 @@ def _lines(
 ) -> Iterator[Line]:
     """What to write of one hypothesis, in terms of what is written if that is known."""
     signal = KINDS[hypothesis.kind].table
-    if hypothesis.kind == "gravity_removed":
-        return  # no line of a mapping says so
     if hypothesis.kind == "gravity":
         words = (word for word, g in MOUNTINGS.items() if g == [*hypothesis.values])
         yield "", "gravity", next(words, list(hypothesis.values))
@@ -403,7 +401,9 @@ def _joint_lines(
         table.get("offset") or (),
     )
     here = [k in hypothesis.joints for k in order]
-    if kind == "delay":
+    if kind == "gravity_removed":
+        yield "gravity", "removed"
+    elif kind == "delay":
         delay = float(table.get("delay", 0.0)) + hypothesis.values[0]
         yield "delay", round(delay, 5)
     elif kind.endswith("sign"):

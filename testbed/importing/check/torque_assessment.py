@@ -53,9 +53,6 @@ CLEAR, TIMES, RIDGE = 0.01, 5.0, 1e-9
 """Part of a torque that bodies must explain for its size to be known, and times what is left; and
 part of a column's square by which dependent ones are kept apart."""
 
-LINELESS = ("gravity_removed",)
-"""Kinds of hypotheses that no line of a mapping cures."""
-
 NEAR = np.cos(np.deg2rad(5))
 """Cosine of directions that have one name."""
 
@@ -106,7 +103,7 @@ def assess_torques(
     remedies = remedies_for(
         tree, merge(verdict.hypotheses), before, after, mapping, tree.n
     )
-    needed = tuple(each for each in remedies if each.lines or each.kind in LINELESS)
+    needed = tuple(each for each in remedies if each.lines)
     assessment = TorqueAssessment((), needed, sizes, verdict, before)
     words = [*_diagnostics(case, assessment, resized=resized)]
     if resized:
@@ -232,13 +229,7 @@ def _explained(
     resized: bool,
 ) -> Iterator[Diagnostic]:
     """What is wrong with a log, and what would make it right."""
-    for reading in verdict.readings:
-        if reading.kind == "by file":
-            yield diagnose("torque.gravity-removed", "the torques")
-        elif reading.kind == "torque sizes" and not resized:
-            yield diagnose(
-                "torque.factors", "the torques", sizes=_factors(case, reading)
-            )
+    by_kind = {each.kind: each for each in verdict.readings}
     gravity = [each for each in assessment.remedies if each.kind == "gravity"]
     for remedy in gravity[-1:]:
         reading = next(
@@ -262,6 +253,9 @@ def _explained(
     if others:
         equals = [_words(case, each) for each in verdict.equals[1:]]
         yield wrong_mapping(case.tree, others, equals, verdict.nats, certain=True)
+    if "torque sizes" in by_kind and not resized:
+        sizes = _factors(case, by_kind["torque sizes"])
+        yield diagnose("torque.factors", "the torques", sizes=sizes)
 
 
 def gravity_words(reading: LogReading) -> str:

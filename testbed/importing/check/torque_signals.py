@@ -14,7 +14,7 @@ from testbed.importing.check.remedies import Hypothesis, corrected
 CUTOFF = 4.0
 """Corner of the low-pass [Hz]; a seventh of the rate where the recording is slower."""
 
-A_SECOND, MOST, LEAST = 8.0, 240, 20
+A_SECOND, MOST, LEAST = 8.0, 240, 12
 """Instants a second at most, in all at most, and least of which a recording has a use."""
 
 DRY, STRIBECK = 0.03, 0.15

@@ -43,6 +43,8 @@ LEFT, LEFT_OF_ALL = 0.30, 0.15
 """Rms that may be left of the channel that gains most, and of all torques: right readings leave
 1.6 % of all (median), 4 % (99 %), of real logs 1 to 10 %."""
 
+FAINT = "no joint's torque is explained clearly better"
+
 BETTER, LOSS = 1.25, 0.2
 """Times less that a reading leaves in some channel, or more in any; part of what the channels gain
 that one of them may lose."""
@@ -257,7 +259,8 @@ def _gate(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
         return verdict
     if best.log - first.log < MARGIN and fine:
         return replace(verdict, outcome="as given")
-    rivals = [each for each in good[1:] if not same(each, best)]
+    faint = [each for each, reasons in rejected if reasons == (FAINT,)]
+    rivals = [each for each in (*good[1:], *faint) if not same(each, best)]
     if best.kind in ("delay", "lag"):
         rivals += [
             each
@@ -285,6 +288,8 @@ def _alike(one: LogReading, other: LogReading) -> bool:
 
 def _unnamed(case: TorqueCase, first: LogReading, reading: LogReading) -> bool:
     """Whether a reading that is not said shows that something without a name is wrong."""
+    if reading.kind in ("delay", "lag"):
+        return False  # errors of models look late
     gain = _left(case, first) / np.maximum(_left(case, reading), 1e-6)
     return bool(reading.log > first.log + 2 * MARGIN and gain[case.live].max() > ODD)
 
@@ -321,7 +326,7 @@ def _reasons(
     top = int(nats.argmax())
     if not absurd and not late:
         if gain[top] < BETTER:
-            reasons.append("no joint's torque is explained clearly better")
+            reasons.append(FAINT)
         elif after[top] > LEFT:
             reasons.append(f"it leaves {after[top]:.0%} of the torque that gains most")
     loses = -nats.min() > LOSS * nats[nats > 0].sum()
