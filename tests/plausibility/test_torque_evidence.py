@@ -39,9 +39,11 @@ def test_evidence_is_that_of_the_dense_normal_distribution(rng: np.random.Genera
     columns = rng.normal(size=(channels, samples, shared + local))
     measured = rng.normal(size=(channels, samples))
     variance = rng.uniform(0.5, 2.0, channels)
+    gram = columns.transpose(0, 2, 1) @ columns
     products = ChannelProducts(
-        columns.transpose(0, 2, 1) @ columns, (measured[:, None] @ columns)[:, 0],
-        (measured**2).sum(axis=1), np.full(channels, float(samples)), shared,
+        gram[:, :shared, :shared], gram[:, :shared, shared:], gram[:, shared:, shared:],
+        (measured[:, None] @ columns)[:, 0], (measured**2).sum(axis=1),
+        np.full(channels, float(samples)),
     )  # fmt: skip
     none = np.zeros(channels)
     found = evidence(products, none, np.ones(channels), variance, rounds=1)

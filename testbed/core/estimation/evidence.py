@@ -29,18 +29,55 @@ class ChannelProducts:
     """Products of columns and measurements about their prior means, channel by channel.
 
     Attributes:
-        gram: Of the columns, the shared ones first, (C, p, p).
-        moment: Of columns and measurements, (C, p).
+        shared: Of the P columns that channels share, (C, P, P).
+        cross: Of these and of each channel's m own columns, (C, P, m).
+        local: Of the latter, (C, m, m).
+        moment: Of all columns, the shared ones first, and measurements, (C, P + m).
         square: Of the measurements, (C,).
         count: Samples, (C,).
-        shared: Number of shared columns.
     """
 
-    gram: Array
+    shared: Array
+    cross: Array
+    local: Array
     moment: Array
     square: Array
     count: Array
-    shared: int
+
+    def scaled(self, factors: Array, mean: Array) -> ChannelProducts:
+        """Products where the shared columns of each channel are so many times as large.
+
+        Args:
+            factors: (C,).
+            mean: Prior mean of the shared coefficients, (P,).
+        """
+        size, more = len(mean), factors[:, None] - 1
+        bodies = self.shared @ mean
+        moment = self.moment.copy()
+        moment[:, size:] -= more * (mean @ self.cross)
+        moment[:, :size] = factors[:, None] * (moment[:, :size] - more * bodies)
+        square = (more[:, 0] * bodies.T).T @ mean * more[:, 0]
+        square += self.square - 2 * more[:, 0] * (self.moment[:, :size] @ mean)
+        wide = factors[:, None, None]
+        return replace(
+            self,
+            shared=wide**2 * self.shared,
+            cross=wide * self.cross,
+            moment=moment,
+            square=square,
+        )
+
+    def times(self, values: Array) -> Array:
+        """Products of all columns and the signals that coefficients make, (C, P + m).
+
+        Args:
+            values: Coefficients of each channel, (C, P + m).
+        """
+        size = self.shared.shape[1]
+        x, u = values[:, :size, None], values[:, size:, None]
+        shared = self.shared @ x + self.cross @ u
+        local = self.cross.transpose(0, 2, 1) @ x + self.local @ u
+        return np.asarray(np.concatenate([shared, local], axis=1)[:, :, 0])
 
     def without(self, channel: int) -> ChannelProducts:
         """Products without the samples of one channel."""
@@ -140,15 +177,16 @@ def _posterior(
     products: ChannelProducts, variance: Array, inflation: Array
 ) -> Evidence:
     """Posterior of the coefficients by known variances; local ones are eliminated first."""
-    size = products.shared
+    size = products.shared.shape[1]
     weight = 1 / (inflation * variance)
-    gram = weight[:, None, None] * products.gram
     moment = weight[:, None] * products.moment
-    cross, local = gram[:, :size, size:], gram[:, size:, size:]
+    cross, local = (
+        weight[:, None, None] * each for each in (products.cross, products.local)
+    )
     covariance = np.asarray(np.linalg.inv(np.eye(local.shape[1]) + local), float)
     projected = cross @ covariance
     flat = projected.transpose(1, 0, 2).reshape(size, -1)
-    matrix = np.eye(size) + gram[:, :size, :size].sum(axis=0)
+    matrix = np.eye(size) + np.tensordot(weight, products.shared, 1)
     matrix -= flat @ cross.transpose(1, 0, 2).reshape(size, -1).T
     right = moment[:, :size].sum(axis=0)
     right -= (projected @ moment[:, size:, None]).sum(axis=0)[:, 0]
@@ -157,7 +195,7 @@ def _posterior(
     rest = moment[:, size:] - cross.transpose(0, 2, 1) @ shared
     own = (covariance @ rest[:, :, None])[:, :, 0]
     both = np.concatenate([np.broadcast_to(shared, (len(own), size)), own], axis=1)
-    fitted = (products.gram @ both[:, :, None])[:, :, 0]
+    fitted = products.times(both)
     residual = products.square + ((fitted - 2 * products.moment) * both).sum(axis=1)
     return Evidence(
         log=np.nan,
@@ -174,14 +212,12 @@ def _posterior(
 
 def _spread(products: ChannelProducts, estimate: Evidence) -> Array:
     """Sums of squares by which the posterior covariance moves predictions, (C,)."""
-    size, gram = products.shared, products.gram
-    shared = cho_solve(
-        (estimate.factor, True), np.eye(size), check_finite=False
-    )  # posterior covariance of the shared coefficients
-    cross, local = gram[:, :size, size:], gram[:, size:, size:]
+    identity = np.eye(len(estimate.shared))
+    # posterior covariance of the shared coefficients
+    shared = cho_solve((estimate.factor, True), identity, check_finite=False)
     projected = estimate.cross @ estimate.local_covariance
     moved = shared @ projected
     own = estimate.local_covariance + projected.transpose(0, 2, 1) @ moved
-    spread = gram[:, :size, :size].reshape(len(gram), -1) @ shared.ravel()
-    spread -= 2 * (cross * moved).sum(axis=(1, 2))
-    return np.asarray(spread + (local * own).sum(axis=(1, 2)))
+    spread = products.shared.reshape(len(moved), -1) @ shared.ravel()
+    spread -= 2 * (products.cross * moved).sum(axis=(1, 2))
+    return np.asarray(spread + (products.local * own).sum(axis=(1, 2)))

@@ -54,8 +54,10 @@ def gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
     Args:
         case: The log.
     """
-    products = case.products
-    none = case.fit(products, np.zeros(3))
+    if case.large:
+        yield from _on_axes(case)
+        return
+    none = case.fit(case.products, np.zeros(3))
     yield _reading(case, np.zeros(3), none, "no gravity", REMOVED)
     fits = sorted(
         (_search(case, start, "direction") for start in _starts(case, none)),
@@ -70,6 +72,19 @@ def gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
         yield _direction(case, gravity, estimate, information)
     if case.gravity.any():
         yield from _partly(case)
+
+
+def _on_axes(case: TorqueCase) -> Iterator[LogReading]:
+    """Readings of a robot of many joints: gravity along each axis of the base, or none."""
+    directions = {"no gravity": np.zeros(3)} | AXES
+    for kind, direction in directions.items():
+        gravity = direction * case.standard
+        if gravity.any() and gravity @ case.gravity > SAME * case.standard**2:
+            continue
+        products = case.products_under(gravity)
+        odds = ODDS.get(kind.split()[0], REMOVED)
+        reading = _reading(case, gravity, case.fit(products, gravity), kind, odds)
+        yield replace(reading, products=products)
 
 
 def _starts(case: TorqueCase, none: Evidence) -> Iterator[Array]:

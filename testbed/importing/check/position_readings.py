@@ -9,7 +9,6 @@ import numpy as np
 from testbed.importing.check.remedies import (
     BEYOND,
     LITTLE,
-    MOST_JOINTS,
     QUARTERS,
     Hypothesis,
     orders,
@@ -57,14 +56,14 @@ def _hypotheses(
         yield (Hypothesis("degrees", tuple(turning)),), UNIT, "unit"
     if turning and np.ptp(q[:, turning], axis=0).max() < LITTLE:
         yield (Hypothesis("radians", tuple(turning)),), UNIT, "unit"
+    if case.large:
+        return
     pinned = PINNED if case.signals.pinned else 0.0
     for joint in joints:
         sign = Hypothesis("position_sign", (joint,))
         both = (sign, Hypothesis("torque_sign", (joint,)))
         yield both, REVERSED, "joint reversed"
         yield (sign,), SENSE, "position sign"
-    if tree.n > MOST_JOINTS:
-        return
     total = sum(each.mass for each in tree.inertias)
     for joint in turning:
         light = tree.inertias[joint].mass < HEAVY * total

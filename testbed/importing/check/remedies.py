@@ -310,6 +310,8 @@ def _lines(
 ) -> Iterator[Line]:
     """What to write of one hypothesis, in terms of what is written if that is known."""
     signal = KINDS[hypothesis.kind].table
+    if hypothesis.kind == "spring":
+        return  # no line of a mapping says so
     if hypothesis.kind == "gravity":
         words = (word for word, g in MOUNTINGS.items() if g == [*hypothesis.values])
         yield "", "gravity", next(words, list(hypothesis.values))

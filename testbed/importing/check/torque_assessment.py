@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import few
+from testbed.core.base.errors import few, quoted
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.body_prior import BodyPrior, body_prior
@@ -27,6 +27,7 @@ from testbed.importing.check.remedies import (
     merge,
     remedies_for,
 )
+from testbed.importing.check.torque_columns import contradictory
 from testbed.importing.check.torque_products import SCALED
 from testbed.importing.check.torque_readings import LogReading, TorqueCase
 from testbed.importing.check.torque_signals import torque_signals
@@ -44,10 +45,6 @@ VAGUE = 30.0
 
 NOTHING = 1e-3
 """Nats of a reading that changes nothing at all."""
-
-SIGMAS, LEAST = 4.0, 0.15
-"""Standard deviations, and range of logarithms, from which torques' sizes contradict each other:
-right logs show up to 2.7 standard deviations and .08."""
 
 CLEAR, TIMES, RIDGE = 0.01, 5.0, 1e-9
 """Part of a torque that bodies must explain for its size to be known, and times what is left; and
@@ -146,10 +143,14 @@ def body_sizes(case: TorqueCase) -> Array:
     bodies = np.zeros_like(products.mean)
     bodies[:count] = products.mean[:count]
     local = np.eye(len(bodies))[count : count + SCALED]
-    columns = np.vstack([local, bodies]).T
-    measured = products.products(case.gravity)
-    gram = columns.T @ measured.gram @ columns
-    moment = columns.T @ (measured.moment + measured.gram @ products.mean)[..., None]
+    columns = np.vstack([local, bodies])
+    inputs = products.products(case.gravity)
+    fitted = [
+        inputs.times(np.broadcast_to(each, inputs.moment.shape)) for each in columns
+    ]
+    gram = np.stack(fitted, axis=1) @ columns.T
+    mean = inputs.times(np.broadcast_to(products.mean, inputs.moment.shape))
+    moment = ((inputs.moment + mean) @ columns.T)[..., None]
     scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-30))
     gram = gram / scale[:, :, None] / scale[:, None] + RIDGE * np.eye(gram.shape[1])
     values = np.linalg.solve(gram, moment / scale[..., None])[..., 0]
@@ -253,6 +254,12 @@ def _explained(
     if others:
         equals = [_words(case, each) for each in verdict.equals[1:]]
         yield wrong_mapping(case.tree, others, equals, verdict.nats, certain=True)
+    springs = [each for each in verdict.readings if each.kind == "spring"]
+    if springs:
+        joints = [
+            case.tree.names[h.joints[0]] for each in springs for h in each.hypotheses
+        ]
+        yield diagnose("torque.spring", f"the torque of {quoted(joints)}")
     if "torque sizes" in by_kind and not resized:
         sizes = _factors(case, by_kind["torque sizes"])
         yield diagnose("torque.factors", "the torques", sizes=sizes)
@@ -297,13 +304,9 @@ def _factors(case: TorqueCase, reading: LogReading) -> str:
 def _contradiction(case: TorqueCase, verdict: TorqueVerdict) -> Iterator[Diagnostic]:
     """Torques whose sizes contradict each other by the file, though other bodies explain them."""
     for reading in verdict.ranked:
-        if reading.kind == "torque sizes":
-            known = np.isfinite(reading.sigma)
-            logs = np.log(np.array(reading.hypotheses[0].values)[known])
-            clear = np.abs(logs - logs.mean()) > SIGMAS * reading.sigma[known]
-            if clear.any() and np.ptp(logs) > LEAST:
-                sizes = _factors(case, reading)
-                yield diagnose("torque.contradiction", "the torques", sizes=sizes)
+        if reading.kind == "torque sizes" and contradictory(reading):
+            sizes = _factors(case, reading)
+            yield diagnose("torque.contradiction", "the torques", sizes=sizes)
 
 
 def _not_explained(

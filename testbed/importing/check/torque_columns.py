@@ -9,9 +9,9 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion, joint_forces
-from testbed.core.estimation.evidence import Evidence
+from testbed.core.estimation.evidence import ChannelProducts, Evidence
 from testbed.importing.check.gravity_readings import AXES, ODDS
-from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis, orders, own_joints
+from testbed.importing.check.remedies import Hypothesis, orders, own_joints
 from testbed.importing.check.torque_readings import LogReading, TorqueCase
 
 ALL, ONE, EXCHANGED, SIZES, BY_FILE = -3.0, -4.0, -5.0, -6.0, -4.0
@@ -23,6 +23,10 @@ FACTOR = 0.4
 
 STEPS, STEP = 6, 0.5
 """Steps of Gauss and Newton to the sizes, and the largest of their logarithms."""
+
+CLEAR, LEAST = 4.0, 0.15
+"""Standard deviations, and range of logarithms, from which torques' sizes contradict each other:
+right logs show up to 2.7 standard deviations and .08."""
 
 KNOWN, SHARP = 2.0, 0.1
 """Times the least sigma of a size, and sigma in any case, below which a size is known."""
@@ -40,13 +44,13 @@ def column_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRead
     opposite = Hypothesis("torque_sign", every)
     reading = case.with_torques((opposite,), ALL, -torque, "sign of all")
     yield reading
-    if not case.fixed:
+    if not (case.fixed or case.large):
         yield from _opposite_on_axes(case, reading, -torque)
     for joint in joints:
         sign = np.where(np.arange(len(torque)) == joint, -1.0, 1.0)
         one = Hypothesis("torque_sign", (joint,))
         yield case.with_torques((one,), ONE, sign[:, None] * torque, "torque sign")
-    if case.tree.n > MOST_JOINTS:
+    if case.large:
         return
     for order in orders(own_joints(case.tree)):
         moved = tuple(k for k, other in enumerate(order) if k != other)
@@ -98,60 +102,72 @@ def without_file_gravity(case: TorqueCase) -> Iterator[LogReading]:
 def size_reading(case: TorqueCase) -> LogReading:
     """The reading of torques that are each of another size, all sizes found together.
 
+    A size multiplies what the bodies make of a torque; friction is in the log's own units.
+
     Args:
         case: The log.
     """
-    products, torque, n = case.products, case.signals.torque.T, case.tree.n
+    products, n = case.products, case.tree.n
+    mean = products.mean[: products.shared]
+    inputs = products.products(case.gravity)
     logs, variance, precision = np.zeros(n), None, np.eye(n) / FACTOR**2
-    for _ in range(STEPS):
-        measured = torque * np.exp(-logs)[:, None]
-        estimate = case.fit(products, case.gravity, measured, variance, rounds=2)
+    for step in range(STEPS + 1):
+        rounds = 2 if step < STEPS else 3
+        scaled = inputs.scaled(np.exp(logs), mean)
+        estimate = case.evidence(scaled, variance, rounds)
         variance = estimate.variance
-        gradient, information = _sizes_step(case, estimate, measured)
-        gradient -= logs / FACTOR**2
-        step = np.linalg.solve(information + precision, gradient)
-        logs = logs + np.clip(step, -STEP, STEP)
-    measured = torque * np.exp(-logs)[:, None]
-    estimate = case.fit(products, case.gravity, measured, variance, rounds=3)
-    information = _sizes_step(case, estimate, measured)[1]
+        gradient, information = _sizes_step(scaled, estimate, mean)
+        if step < STEPS:
+            gradient -= logs / FACTOR**2
+            change = np.linalg.solve(information + precision, gradient)
+            logs = logs + np.clip(change, -STEP, STEP)
     covariance = np.linalg.inv(information + precision)
     # of sizes beside each other: a common factor is that of all masses
     relative = np.eye(n) - case.live / case.live.sum()
     spread = np.sqrt(np.diagonal(relative @ covariance @ relative.T))
-    # torques of other sizes are of another density
-    counted = products.count / case.inflation
-    jacobian = -(counted * logs)[case.live].sum()
     volume = np.linalg.slogdet(np.eye(n) + FACTOR**2 * information)[1]
     penalty = ((logs / FACTOR) ** 2)[case.live].sum()
-    odds = float(SIZES + jacobian - 0.5 * (penalty + volume))
+    odds = float(SIZES - 0.5 * (penalty + volume))
     known = (spread < max(KNOWN * spread[case.live].min(), SHARP)) & case.live
     told = np.where(known, logs, logs[known].mean())
-    joints = tuple(range(n))
-    sizes = Hypothesis("torque_size", joints, tuple(np.exp(told).tolist()))
-    reading = case.with_torques((sizes,), odds, measured, "torque sizes")
+    sizes = Hypothesis("torque_size", tuple(range(n)), tuple(np.exp(told).tolist()))
     return replace(
-        reading,
+        case.as_given,
+        hypotheses=(sizes,),
+        kind="torque sizes",
+        odds=odds,
         evidence=estimate,
         log=estimate.log + odds,
         sigma=np.where(known, spread, np.inf),
     )
 
 
+def contradictory(reading: LogReading) -> bool:
+    """Whether torques' sizes differ beyond noise; a common one is that of all masses.
+
+    Args:
+        reading: Of torques of other sizes.
+    """
+    known = np.isfinite(reading.sigma)
+    logs = np.log(np.array(reading.hypotheses[0].values)[known])
+    clear = np.abs(logs - logs.mean()) > CLEAR * reading.sigma[known]
+    return bool(clear.any() and np.ptp(logs) > LEAST)
+
+
 def _sizes_step(
-    case: TorqueCase, estimate: Evidence, measured: Array
+    products: ChannelProducts, estimate: Evidence, mean: Array
 ) -> tuple[Array, Array]:
     """Gradient, (n,), and information, (n, n), of the logarithms of the torques' sizes."""
-    products, unit = case.products, np.eye(case.tree.n)
-    residual = products.residual(case.gravity, estimate, measured)
-    predicted = products.counted * measured - residual
-    inputs = products.products(case.gravity, measured)
-    values = products.mean + estimate.coefficients
-    fitted = (inputs.gram @ values[:, :, None])[:, :, 0]
+    n, size = len(products.count), len(mean)
+    values = np.zeros_like(products.moment)
+    values[:, :size] = mean + estimate.shared
+    fitted = products.times(values)
     square = (fitted * values).sum(axis=1)
-    own = unit[:, :, None] * unit[:, None]  # a channel's columns are its own alone
-    moment = (predicted * residual).sum(axis=1)
+    residual = products.moment - products.times(estimate.coefficients)
+    moment = (residual * values).sum(axis=1)
+    unit = np.eye(n)
     return estimate.marginal(
         fitted[:, :, None] * unit[:, None],
-        square[:, None, None] * own,
+        square[:, None, None] * unit[:, :, None] * unit[:, None],
         moment[:, None] * unit,
     )

@@ -12,8 +12,9 @@ which a torque sensor feels.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,11 +34,22 @@ the load in parts of the torque, and parts of both neighbours' torques."""
 SCALED = 5
 """Number of these that are in parts of the channel's size."""
 
+SPRING = 0.3
+"""Sigma of the torque of a spring in parts of the channel's rms."""
+
 LAW = 0.05
 """Error of a friction law in parts of the channel's size."""
 
 DEPENDENT = 1e-10
 """Part of the largest eigenvalue below which parameters move no torque."""
+
+
+class Grams(NamedTuple):
+    """Products of shared columns, of these and local ones, and of local ones."""
+
+    shared: Array
+    cross: Array
+    local: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +72,7 @@ class TorqueProducts:
     counted: Array
     mean: Array
     basis: Array
+    _known: dict[tuple[float, ...], tuple[Grams, Array]] = field(default_factory=dict)
 
     @property
     def shared(self) -> int:
@@ -110,20 +123,37 @@ class TorqueProducts:
             measured: Other torques, (C, T).
         """
         torque = self.counted * (self.measured if measured is None else measured)
-        moment = (torque[:, None] @ self.columns)[:, 0]
-        gram, size = self._gram, self.shared
+        moment, size = (torque[:, None] @ self.columns)[:, 0], self.shared
         if self.gravity_columns.shape[2]:
-            gram = gram.copy()
-            mixed = np.tensordot(self._cross, gravity, ([2], [0]))
-            gram[:, :, :size] += mixed
-            gram[:, :size] += mixed.transpose(0, 2, 1)
-            both = np.tensordot(self._gravity_gram, gravity, ([1], [0]))
-            gram[:, :size, :size] += np.tensordot(both, gravity, ([2], [0]))
             heavy = np.einsum("ct,ctkp->ckp", torque, self.gravity_columns)
             moment[:, :size] += np.tensordot(heavy, gravity, ([1], [0]))
-        expected = gram @ self.mean
+        grams, expected = self._under(gravity)
         square = (torque**2).sum(axis=1) - (2 * moment - expected) @ self.mean
-        return ChannelProducts(gram, moment - expected, square, self.count, size)
+        return ChannelProducts(*grams, moment - expected, square, self.count)
+
+    def _under(self, gravity: Array) -> tuple[Grams, Array]:
+        """Products of columns under a gravity, and with the prior mean's torques."""
+        key = tuple(gravity.tolist())
+        if key not in self._known:
+            self._known.clear()  # the last alone: they are large
+            self._known[key] = self._made(gravity)
+        return self._known[key]
+
+    def _made(self, gravity: Array) -> tuple[Grams, Array]:
+        size = self.shared
+        shared, cross = self._gram[:, :size, :size], self._gram[:, :size, size:]
+        if self.gravity_columns.shape[2]:
+            mixed = np.tensordot(self._cross, gravity, ([2], [0]))
+            both = np.tensordot(self._gravity_gram, gravity, ([1], [0]))
+            bodies = mixed[:, :size]
+            shared = shared + bodies + bodies.transpose(0, 2, 1)
+            shared = shared + np.tensordot(both, gravity, ([2], [0]))
+            cross = cross + mixed[:, size:].transpose(0, 2, 1)
+        local = self._gram[:, size:, size:]
+        grams = Grams(*(np.ascontiguousarray(each) for each in (shared, cross, local)))
+        none = np.zeros((len(local), len(self.mean)))
+        whole = ChannelProducts(*grams, none, none[:, 0], self.count)
+        return grams, whole.times(np.broadcast_to(self.mean, none.shape))
 
     def residual(
         self, gravity: Array, estimate: Evidence, measured: Array | None = None
@@ -182,6 +212,7 @@ def torque_products(
     prior: BodyPrior,
     size: Array,
     gravity: Array | None = None,
+    sprung: Sequence[int] = (),
 ) -> TorqueProducts:
     """Products of the torques of a log.
 
@@ -191,6 +222,7 @@ def torque_products(
         prior: Of its bodies.
         size: Of each channel's torques, (n,) [N m or N].
         gravity: (3,) [m/s^2], where it is not open.
+        sprung: Indices of joints with a torque in proportion to their position.
     """
     time = np.arange(float(len(signals.q)))
     motion = Motion(time, signals.q, signals.qd, signals.qdd)
@@ -198,14 +230,18 @@ def torque_products(
     fixed = np.zeros(3) if gravity is None else gravity
     inertial = linear(tree, motion, prior.barycentric, fixed)[0].transpose(1, 0, 2)
     heavy = np.zeros((*inertial.shape[:2], 0, inertial.shape[2]))
-    basis = np.eye(inertial.shape[2])
     if gravity is None:
         heavy = _gravity_columns(tree, signals.q, prior)
-        basis = _basis([inertial, *np.moveaxis(heavy, 2, 0)])
-        inertial, heavy = inertial @ basis, heavy @ basis
+    basis = _basis([inertial, *np.moveaxis(heavy, 2, 0)])
+    inertial, heavy = inertial @ basis, heavy @ basis
     local = _local_columns(tree, signals, size)
+    if sprung:
+        at = np.isin(np.arange(tree.n), sprung)
+        springs = (spring_torques(signals, size) * at).T
+        local = np.concatenate([local, springs[..., None]], axis=2)
     columns = np.concatenate([inertial, local], axis=2) * counted[..., None]
-    expected = np.divide(MEAN, SIGMA, out=np.zeros(len(MEAN)), where=SIGMA > 0)
+    expected = np.zeros(local.shape[2])
+    expected[: len(MEAN)] = MEAN / SIGMA
     return TorqueProducts(
         columns,
         heavy * counted[..., None, None],
@@ -214,6 +250,18 @@ def torque_products(
         np.concatenate([basis.T @ prior.mean, expected]),
         basis,
     )
+
+
+def spring_torques(signals: TorqueSignals, size: Array) -> Array:
+    """Torques in proportion to each joint's position, in sigmas, (T, n).
+
+    Args:
+        signals: Of the joints.
+        size: Of each channel's torques, (n,).
+    """
+    q = signals.q - signals.q.mean(axis=0)
+    rms = np.sqrt((q**2).mean(axis=0)) + 1e-12
+    return np.asarray(q * SPRING * size / rms)
 
 
 def _gravity_columns(tree: Tree, q: Array, prior: BodyPrior) -> Array:

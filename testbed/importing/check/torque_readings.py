@@ -9,11 +9,11 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.evidence import Evidence, evidence
+from testbed.core.estimation.evidence import ChannelProducts, Evidence, evidence
 from testbed.core.robot.gravity import SIZE
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.body_prior import BodyPrior
-from testbed.importing.check.remedies import Hypothesis
+from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis
 from testbed.importing.check.torque_products import (
     TorqueProducts,
     friction,
@@ -102,6 +102,7 @@ class TorqueCase:
         gravity: As the log is told, (3,) [m/s^2].
         inflation: Instants of each channel that count as one, (C,).
         fixed: Whether positions and gravity are known, as by a force plate.
+        sprung: Indices of joints with a torque in proportion to their position.
     """
 
     tree: Tree
@@ -110,6 +111,7 @@ class TorqueCase:
     gravity: Array
     inflation: Array
     fixed: bool = False
+    sprung: tuple[int, ...] = ()
 
     @cached_property
     def live(self) -> Array:
@@ -136,9 +138,28 @@ class TorqueCase:
 
     @cached_property
     def products(self) -> TorqueProducts:
-        """Products of the log as given, gravity open."""
-        gravity = self.gravity if self.fixed else None
-        return torque_products(self.tree, self.signals, self.prior, self.size, gravity)
+        """Products of the log as given, gravity open unless joints are many."""
+        return self.products_under(self.gravity if self.fixed or self.large else None)
+
+    @property
+    def large(self) -> bool:
+        """Whether the robot has so many joints that only few readings are tried."""
+        return self.tree.n > MOST_JOINTS
+
+    def products_under(self, gravity: Array | None) -> TorqueProducts:
+        """Products of the log under a gravity.
+
+        Args:
+            gravity: (3,) [m/s^2], where it is not open.
+        """
+        return self._products(self.signals, gravity)
+
+    def _products(
+        self, signals: TorqueSignals, gravity: Array | None
+    ) -> TorqueProducts:
+        return torque_products(
+            self.tree, signals, self.prior, self.size, gravity, self.sprung
+        )
 
     @cached_property
     def as_given(self) -> LogReading:
@@ -176,7 +197,19 @@ class TorqueCase:
             rounds: Of that search.
         """
         inputs = products.products(gravity, measured)
-        estimate = evidence(inputs, self.floor, self.inflation, variance, rounds)
+        return self.evidence(inputs, variance, rounds)
+
+    def evidence(
+        self, products: ChannelProducts, variance: Array | None, rounds: int
+    ) -> Evidence:
+        """Evidence of a model whose friction brakes.
+
+        Args:
+            products: Of its columns and measurements.
+            variance: Of each channel's noise, where its search begins, (C,).
+            rounds: Of that search.
+        """
+        estimate = evidence(products, self.floor, self.inflation, variance, rounds)
         return replace(estimate, log=estimate.log + self._braking(estimate))
 
     def _braking(self, estimate: Evidence) -> float:
@@ -225,9 +258,7 @@ class TorqueCase:
         """
         signals = self.signals.thinned(count) if count else self.signals
         signals = signals.corrected(*hypotheses)
-        products = torque_products(
-            self.tree, signals, self.prior, self.size, self.gravity
-        )
+        products = self._products(signals, self.gravity)
         estimate = self.fit(products, self.gravity)
         log = estimate.log + odds
         return LogReading(

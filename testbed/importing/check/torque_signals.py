@@ -220,4 +220,5 @@ _CORRECTIONS = {
     "torque_size": _with_factors,
     "delay": _with_delay,
     "gravity": _unchanged,
+    "spring": _unchanged,
 }

@@ -25,8 +25,10 @@ from testbed.importing.check.gravity_readings import (
 )
 from testbed.importing.check.position_readings import position_readings
 from testbed.importing.check.remedies import Hypothesis
+from testbed.importing.check.spring_readings import spring_readings
 from testbed.importing.check.torque_columns import (
     column_readings,
+    contradictory,
     size_reading,
     without_file_gravity,
 )
@@ -147,7 +149,8 @@ def _continued(verdict: TorqueVerdict, steps: int) -> TorqueVerdict:
         return verdict
     rest = explain(cured(verdict.case, reading), steps - 1)
     again = reading.kind in [each.kind for each in rest.readings]
-    if rest.outcome == "not explained" or (again and reading.kind not in DIRECTIONS):
+    again = again and reading.kind not in (*DIRECTIONS, "spring")
+    if rest.outcome == "not explained" or again:
         return replace(verdict, outcome="not explained", readings=())
     if rest.outcome != "explained":
         return replace(verdict, ranked=rest.ranked)
@@ -161,6 +164,8 @@ def _first_of_two(verdict: TorqueVerdict) -> TorqueVerdict:
     case, candidates = verdict.case, list[LogReading]()
     for each in verdict.ranked[:12]:
         other = all(each.kind != known.kind for known in candidates)
+        if each.kind == "torque sizes" and not contradictory(each):
+            continue
         if each.hypotheses and other and each.kind not in TERMINAL:
             candidates.append(each)
     pairs = []
@@ -190,8 +195,14 @@ def cured(case: TorqueCase, reading: LogReading) -> TorqueCase:
         reading: Of it.
     """
     signals = case.signals.corrected(*reading.hypotheses)
-    free = np.ones(case.tree.n)
-    return TorqueCase(case.tree, signals, case.prior, reading.gravity, free, case.fixed)
+    springs = [each.joints for each in reading.hypotheses if each.kind == "spring"]
+    return replace(
+        case,
+        signals=signals,
+        gravity=reading.gravity,
+        inflation=np.ones(case.tree.n),
+        sprung=(*case.sprung, *(joint for each in springs for joint in each)),
+    )
 
 
 def judge(case: TorqueCase) -> TorqueVerdict:
@@ -208,6 +219,7 @@ def judge(case: TorqueCase) -> TorqueVerdict:
         readings += gravity_readings(case)
         readings += without_file_gravity(case)
         readings += position_readings(case, joints)
+    readings += spring_readings(case, joints)
     readings += delay_readings(case)
     case = case.with_inflation(max(readings, key=lambda each: each.log))
     ranked = sorted(_refined(case, readings), key=lambda each: -each.log)
@@ -315,7 +327,7 @@ def _reasons(
         reasons.append("it needs masses or friction that the robot cannot have")
     if reading.kind == "torque sizes":
         logs = np.log(reading.hypotheses[0].values)
-        if abs(logs[live].mean()) > np.log(LARGEST):
+        if not contradictory(reading) or abs(logs[live].mean()) > np.log(LARGEST):
             reasons.append("all torques would be of another size")
     if reading.pooled(live) > LEFT_OF_ALL:
         reasons.append(f"it leaves {reading.pooled(live):.0%} of the torques")
@@ -377,10 +389,6 @@ def possible(case: TorqueCase, reading: LogReading) -> bool:
 def _left(case: TorqueCase, reading: LogReading) -> Array:
     """Rms of each recorded column that a reading leaves, in parts of the column, (C,)."""
     left = reading.evidence.residual.copy()
-    hypothesis = reading.hypothesis
-    if reading.kind == "torque sizes" and hypothesis:
-        torque = (case.signals.counted * case.signals.torque**2).sum(axis=0)
-        left *= torque / np.maximum(reading.whole, 1e-12)
     column = np.arange(case.tree.n)
     for each in reading.hypotheses:
         if each.kind == "torque_order":
