@@ -37,7 +37,9 @@ from testbed.importing.check.plate import WrenchFit
 from testbed.importing.check.plate_map import rotation_vector
 from testbed.importing.check.recording_diagnostics import (
     at_rest,
+    clocked,
     encoder_steps,
+    faulty_channels,
     negative_weight,
     odd_sizes,
     other_zero,
@@ -66,8 +68,7 @@ from testbed.importing.import_report import in_mapping
 from testbed.importing.mapping import Mapping
 
 CERTAIN, LIKELY = 12.0, 6.0
-"""Differences of minus the logarithm of likelihood from which a hypothesis is certain, or likely.
-"""
+"""Differences of minus the log likelihood from which a hypothesis is certain, or likely."""
 
 WELL, NOISY, TIMES = 0.4, 3.0, 4.0
 """Part of a channel's variance that may be left where a hypothesis is called certain, times its
@@ -99,8 +100,7 @@ class Assessment(Diagnosed):
 
     Attributes:
         diagnostics: What is certainly wrong, an error each; what may be; what is left open.
-        sizes: Torques are so many times what the model file's masses say; nan where they do not
-            identify, (n,) or (0,).
+        sizes: Torques over what the model file's masses say, nan if unknown, (n,) or (0,).
         remedies: What would make it right, to be applied together; empty where nothing is wrong.
         equals: What explains the recording as well, in words.
         as_read: The recording as it is; None where nothing can be judged.
@@ -176,7 +176,7 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
         if slow.best is not None and slow.best.plate.cost < best.plate.cost - APART:
             assessment = slow
     named = of_instrument(assessment.diagnostics, sensor_of(tree))
-    return replace(assessment, diagnostics=named)
+    return replace(assessment, diagnostics=(*faulty_channels(part), *named))
 
 
 def _judge(
@@ -385,7 +385,7 @@ def check_recording(
     if any(each.code == "robot.rest" for each in doubts):
         offsets = ()  # without a motion there is no delay
     if offsets is None:
-        offsets = time_offsets(tree, source)
+        offsets = time_offsets(tree, source, clocked(doubts))
     for each in offsets:
         if each.matters:
             lines = in_mapping(_alignment([each], source))

@@ -35,6 +35,7 @@ from testbed.importing.check.plate import FAR, WrenchFit
 from testbed.importing.check.plate_frame import frame_of, unit_ratio
 from testbed.importing.check.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
 from testbed.importing.check.recording_diagnostics import (
+    clocked,
     encoder_steps,
     removed,
     share,
@@ -126,7 +127,7 @@ def solve_mapping(
         said = (*encoder_steps(source), *assessment.likely)
         if assessment.best is not None:
             draft = _by_the_data(draft, assessment.best, said)
-            offsets = time_offsets(tree, source)
+            offsets = time_offsets(tree, source, clocked(assessment.diagnostics))
             in_time = _with_clocks(draft, source, offsets)
             prepared = replace(prepared, offsets=offsets)
             if in_time is not draft:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import components, few, round_significant
-from testbed.core.recordings.columns import AXES
-from testbed.core.recordings.held import STILL
+from testbed.core.recordings.channels import channel_faults
+from testbed.core.recordings.columns import AXES, STILL
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
@@ -398,3 +398,27 @@ def unknown_gains(source: Source) -> Iterator[Diagnostic]:
     mapping = source.metadata.mapping or {}
     if (mapping.get("torque") or {}).get("gain_from") == "model":
         yield diagnose("torque.gains", "the torque")
+
+
+def faulty_channels(recording: Recording) -> tuple[Diagnostic, ...]:
+    """Diagnose what single channels show by themselves.
+
+    Args:
+        recording: Or a part of one.
+    """
+    return tuple(each.diagnostic for each in channel_faults(recording))
+
+
+UNTIMED = ("clipped", "dead", "stuck", "slow", "copied", "magnitude", "smoothed")
+"""Faults of torques with which their delay is not determined."""
+
+
+def clocked(diagnostics: Iterable[Diagnostic]) -> tuple[str, ...]:
+    """Signals whose delay is to be looked for.
+
+    Args:
+        diagnostics: Of the recording.
+    """
+    untimed = {f"torque-column.{kind}" for kind in UNTIMED}
+    doubted = any(each.code in untimed for each in diagnostics)
+    return ("wrench",) if doubted else ("torque", "wrench")
