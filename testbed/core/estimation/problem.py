@@ -135,8 +135,7 @@ class Problem:
         check_left_out(source, settings)
         faults: tuple[ChannelFault, ...] = ()
         if is_imported(source) and NOTHING not in settings.leave_out:
-            signals = "position", SIGNAL_OF[method]
-            faults = tuple(f for f in channel_faults(source) if f.signal in signals)
+            faults = channel_faults(source, torques=method == "internal")
         diagnostics = (*diagnostics, *(each.diagnostic for each in faults))
         return cls(
             tree=tree,

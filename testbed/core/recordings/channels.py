@@ -26,9 +26,9 @@ from testbed.core.recordings.source import Source
 SAMPLES, FEWEST = 200_000, 100
 """Samples that are looked at together, at most and at least."""
 
-EQUAL, TOP = 1e-6, 0.05
+EQUAL, TOP, CONSTANT = 1e-6, 0.05, 1e-9
 """Part of a channel's range by which equal values differ at most, after interpolation; part of it
-that is near its greatest value."""
+that is near its greatest value; part of a value by which a constant changes."""
 
 SPELL, SLOW, MOVING = 0.025, 0.1, 0.2
 """Time over which speeds are taken [s]; part of a joint's rms speed below which it rests; part of
@@ -144,8 +144,8 @@ class _Joint:
     def makes(self, values: Array, plateau: Flags, near: float) -> bool:
         """Whether inertia and friction of the joint make a plateau of a torque, within `near`."""
         columns = np.vander(self.speed, 2), np.sign(self.speed), np.gradient(self.speed)
-        own, part = np.column_stack(columns), self.moving
-        expected = own @ np.linalg.lstsq(own[part], values[part])[0]
+        motion, part = np.column_stack(columns), self.moving
+        expected = motion @ np.linalg.lstsq(motion[part], values[part])[0]
         return bool(expected[plateau & part].std() < 2 * near)
 
 
@@ -161,7 +161,8 @@ def _runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def _constant(values: Array, joint: _Joint) -> Finding | None:
     """One value throughout."""
-    return ("dead", True, {"size": values[0]}) if not np.ptp(values) else None
+    constant = np.ptp(values) <= CONSTANT * np.abs(values[0])
+    return ("dead", True, {"size": values[0]}) if constant else None
 
 
 def _slow(values: Array, joint: _Joint) -> Finding | None:
@@ -201,12 +202,12 @@ def _clipped(values: Array, joint: _Joint) -> Finding | None:
     every, levels = np.zeros(len(values), bool), []
     means = max(3, round(0.05 * joint.rate))
     for sign in (1.0, -1.0):
-        found = _plateau(sign * values, joint, 1) or _plateau(
+        plateau = _plateau(sign * values, joint, 1) or _plateau(
             sign * values, joint, means
         )
-        if found is not None and not joint.makes(values, found[0], found[2]):
-            every |= found[0]
-            levels.append(sign * found[1])
+        if plateau is not None and not joint.makes(values, plateau[0], plateau[2]):
+            every |= plateau[0]
+            levels.append(sign * plateau[1])
     words = " and ".join(f"{each:.4g}" for each in sorted(levels))
     return ("clipped", every, {"size": words}) if levels else None
 
@@ -235,7 +236,7 @@ def _plateau(
 
 def _stop(seen: Array, near: float, share: float, times: float) -> float | None:
     """The value near the greatest at which most sorted values are, if those below are few."""
-    levels = seen[seen > seen[-1] - 0.2 * (seen[-1] - seen[0])]
+    levels = seen[seen >= seen[-1] - 0.2 * (seen[-1] - seen[0])]
     within = [np.searchsorted(seen, levels + k * near) for k in (-3, -1, 1)]
     below, here = np.diff(within, axis=0)
     here[here < times * (len(seen) - within[2])] = 0
@@ -256,11 +257,11 @@ def _is_steep(
 
 def _coarse(values: Array, joint: _Joint) -> Finding | None:
     """Steps that are large beside the channel's motion."""
-    steps = np.diff(np.unique(values))
-    step = float(steps.min())
-    whole = np.abs(steps / step - np.round(steps / step)) < 0.01
+    gaps = np.diff(np.unique(values))
+    step = float(gaps.min())
+    whole = np.abs(gaps / step - np.round(gaps / step)) < 0.01
     noise = step / 12**0.5
-    coarse = len(steps) < LEVELS and whole.all() and noise > ROUGH * values.std()
+    coarse = len(gaps) < LEVELS and whole.all() and noise > ROUGH * values.std()
     return ("coarse", True, {"size": step, "noise": noise}) if coarse else None
 
 
@@ -349,13 +350,13 @@ def _torque_findings(
 ) -> Iterator[tuple[int, Finding]]:
     """Findings of torques, by the numbers of their joints."""
     moving = [k for k, each in enumerate(joints) if each.moves]
-    found = dict(_copies(names, torque, moving))
+    findings = dict(_copies(names, torque, moving))
     for k in moving:
-        tested = (test(torque[:, k], joints[k]) for test in TESTS if k not in found)
+        tested = (test(torque[:, k], joints[k]) for test in TESTS if k not in findings)
         first = next(filter(None, tested), None)
-        found |= {} if first is None else {k: first}
-    yield from found.items()
-    clean = [k for k in moving if k not in found]
+        findings |= {} if first is None else {k: first}
+    yield from findings.items()
+    clean = [k for k in moving if k not in findings]
     yield from _odd_noise(torque, clean, joints[0].rate)
 
 
@@ -404,25 +405,30 @@ KEPT = {"coarse", "offset-step", "smoothed", "noisy"}
 """Faults of torques that concern all samples alike, or whose right part nobody knows."""
 
 
-def channel_faults(source: Source) -> tuple[ChannelFault, ...]:
+def channel_faults(source: Source, *, torques: bool = True) -> tuple[ChannelFault, ...]:
     """Faults of a recording's positions and torques, of a long one part by part.
 
     Args:
         source: The recording.
+        torques: Whether torques are looked at, too.
     """
     return tuple(
         fault
         for begin, end in source.segments
         for first in range(begin, end, SAMPLES)
-        for fault in _faults(source.part(first, min(end, first + SAMPLES)), first)
+        for fault in _faults(
+            source.part(first, min(end, first + SAMPLES)), first, torques=torques
+        )
     )
 
 
-def _faults(recording: Recording, first: int) -> Iterator[ChannelFault]:
+def _faults(
+    recording: Recording, first: int, *, torques: bool
+) -> Iterator[ChannelFault]:
     """Those of a part of a recording, by the number of its first sample."""
     if recording.samples < FEWEST:
         return
-    names, torque = recording.names, recording.torque
+    names, torque = recording.names, recording.torque if torques else None
     joints = [_Joint.of(each, recording.rate) for each in recording.position.T]
     encoders = _position_findings(names, recording.position, joints)
     findings = [("position", *each) for each in encoders]
@@ -466,7 +472,7 @@ def left_out(
         reach: Samples to either side that a wrong position spoils, of all channels.
     """
     around, every = np.array([-reach, reach]), np.array([[0, np.iinfo(np.int64).max]])
-    found = []
+    each = []
     for channel in channels:
         spans = [np.zeros((0, 2), np.int64)]
         spans += [every] * any(fnmatchcase(channel, pattern) for pattern in whole)
@@ -475,5 +481,5 @@ def left_out(
                 spans.append(fault.left_out + around)
             elif f"{fault.signal}/{fault.name}" == channel:
                 spans.append(fault.left_out)
-        found.append(np.concatenate(spans))
-    return tuple(found) if any(map(len, found)) else ()
+        each.append(np.concatenate(spans))
+    return tuple(each) if any(map(len, each)) else ()

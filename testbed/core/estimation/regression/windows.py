@@ -349,12 +349,12 @@ class Plan:
 
     def _counts(self, first: int, number: int) -> Array:
         """Ones for samples that count and zeros for others, (number, C); empty if all do."""
-        starts = np.zeros((number + 1, len(self.left_out)))
-        for own, spans in zip(starts.T, self.left_out, strict=True):
+        edges = np.zeros((number + 1, len(self.left_out)))
+        for channel, spans in zip(edges.T, self.left_out, strict=True):
             begin, end = np.clip(spans.T - first, 0, number)
-            np.add.at(own, begin, 1)
-            np.add.at(own, end, -1)
-        missing = np.cumsum(starts[:-1], axis=0) > 0
+            np.add.at(channel, begin, 1)
+            np.add.at(channel, end, -1)
+        missing = np.cumsum(edges[:-1], axis=0) > 0
         return np.where(missing, 0.0, 1.0) if missing.any() else NONE
 
     def _varying(self, part: Recording, window: Window) -> Array:
