@@ -161,6 +161,23 @@ def test_estimates_of_what_is_left_are_as_good_as_they_say(plant: str) -> None:
     assert np.sqrt(np.mean(worse**2)) > 1.5 * np.sqrt(np.mean(z**2))
 
 
+def test_where_an_encoder_is_stuck_no_torque_counts() -> None:
+    """All torques depend on its joint, as far as the filter on positions reaches."""
+    made, tree = sound("ur5", 1), tb.load_tree(ROOT / "tests/golden/robots/ur5.urdf")
+    position = made.position.copy()
+    position[1000:1150, 1] = position[1000, 1]
+    spoiled = replace(made, position=position)
+    (fault,) = channel_faults(spoiled)
+    assert named(fault) == f"position stuck {made.names[1]}"
+    best, left, with_all = (
+        identify(tree, each, "torque", settings=tb.Settings(leave_out=out))
+        for each, out in ((made, ()), (spoiled, ()), (spoiled, ("nothing",)))
+    )
+    assert (np.array(left.samples) < best.samples).all()
+    z, worse = ((each.values - best.values) / left.sigma for each in (left, with_all))
+    assert np.sqrt(np.mean(z**2)) < 1 < np.sqrt(np.mean(worse**2))
+
+
 def test_channels_are_left_out_by_name_and_unknown_ones_refused() -> None:
     """A pattern that names nothing would leave nothing out, unnoticed."""
     made, tree = sound("ur5", 1), tb.load_tree(ROOT / "tests/golden/robots/ur5.urdf")
