@@ -289,19 +289,22 @@ def _outliers(values: Array, joint: _Joint) -> Finding | None:
     return ("outliers", at, {"count": int(at.sum())}) if few else None
 
 
-def steps(time: Array, values: Array) -> Iterator[tuple[int, float]]:
+def steps(
+    time: Array, values: Array, times: float = OUTLYING
+) -> Iterator[tuple[int, float]]:
     """Samples before steps, and sizes, across which a channel's rate of change is continuous.
 
     Args:
         time: (M,), increasing [s].
         values: (M,).
+        times: All but the fastest of the other changes that a step is at least.
     """
     speed = np.diff(values) / np.diff(time)
     if len(speed) < 5:
         return
     before, after = speed[:-2], speed[2:]
     change = speed[1:-1] - (before + after) / 2
-    usual = OUTLYING * float(np.quantile(np.abs(change), 0.99))
+    usual = times * float(np.quantile(np.abs(change), 0.99))
     alone = np.abs(before - after) < np.abs(change) / 4
     for i in 1 + np.flatnonzero((np.abs(change) > usual) & alone):
         yield int(i), float(change[i - 1] * (time[i + 1] - time[i]))
@@ -312,7 +315,7 @@ def _offset_step(values: Array, joint: _Joint) -> Finding | None:
     reach, samples = round(AWAY * joint.rate), np.arange(len(values))
     turns = np.diff(np.sign(joint.speed)) != 0
     turning = np.convolve(turns, np.ones(2 * reach + 1), "same") > 0.5
-    every = steps(samples / joint.rate, values)
+    every = steps(samples / joint.rate, values, JUMP)
     sizes = {i + 1: size for i, size in every if not turning[i]}
     if not 0 < len(sizes) <= 3:
         return None
