@@ -159,6 +159,7 @@ def identify(
             "lock_mimic",
             "plate",
             "terms",
+            "leave_out",
             "unchecked",
             "threads",
             model=RobotModel,

@@ -114,6 +114,15 @@ class Reading:
             help="Joint terms, e.g. coulomb,viscous,rotor/elbow; auto: by cross-validation.",
         ),
     ] = None
+    leave_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--leave-out",
+            metavar="CHANNEL",
+            help="Leave a channel out, e.g. torque/elbow, or several by a pattern as "
+            "torque/wrist_*; nothing: faulty samples count, too; repeatable.",
+        ),
+    ] = None
     unchecked: Annotated[
         bool,
         typer.Option(
@@ -159,6 +168,8 @@ class Reading:
         if self.terms is not None:
             listed = self.terms if self.terms == "auto" else self.terms.split(",")
             said.append(f"identification.terms={json.dumps(listed)}")
+        if self.leave_out:
+            said.append(f"identification.leave_out={json.dumps(self.leave_out)}")
         if self.sensor is not None:
             said.append(f"robot.sensor={json.dumps(self.sensor)}")
         return RecordingTables.of([*(self.settings or ()), *said], self.sensors)

@@ -99,7 +99,7 @@ def new(
             "--strict", help="Refuse impossible bodies instead of repairing them."
         ),
     ] = False,
-    reading: Annotated[Reading, Fields("lock", "lock_mimic")],
+    reading: Annotated[Reading, Fields("lock", "lock_mimic", "leave_out")],
     force: Force = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
@@ -166,6 +166,9 @@ def _recorded(
     # the plate's frame and clock are known to a sigma only
     if recordings[0].wrench is not None:
         words += ["--set", 'identification.nuisances=["pose","skew"]']
+    words += [
+        word for each in reading.leave_out or () for word in ("--leave-out", each)
+    ]
     imported = ImportReport.from_dict(recordings[0].metadata.report).diagnostics
     said = [*cuts, *imported, *report.diagnostics]
     output.print_result(

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.recordings.channels import steps
 from testbed.importing.foreign_table import ANGLES, factor, plain
 from testbed.importing.mapping import SignalTable
 
-OUTLYING = 10.0
-"""Times all but the fastest of a joint's other changes that a step is at least."""
-
 LEAST = 5e-3
 """Least size of a step [rad or m]."""
+
+LOST = 20
+"""Samples of one value before a step that lost samples leave, and no re-homing does."""
 
 MOST = 3
 """Steps of a joint above which they are noise, or lost samples."""
@@ -44,18 +45,18 @@ def without_turns(
             found[1:, k] -= turn * np.cumsum(turns)
             if turns.any():
                 wrapped[name] = int(np.count_nonzero(turns))
-        steps = {
+        sizes = {
             i: size
-            for i, size in _steps(time, found[:, k])
-            if abs(size) * scale > LEAST
+            for i, size in steps(time, found[:, k])
+            if abs(size) * scale > LEAST and not _thaws(found[:, k], i)
         }
-        if 0 < len(steps) <= MOST:
-            times = ", ".join(f"{time[i + 1] - time[0]:.6g}" for i in steps)
+        if 0 < len(sizes) <= MOST:
+            times = ", ".join(f"{time[i + 1] - time[0]:.6g}" for i in sizes)
             said.append(
                 diagnose(
                     "position.step",
                     name,
-                    scale * max(steps.values(), key=abs),
+                    scale * max(sizes.values(), key=abs),
                     at=times,
                 )
             )
@@ -65,14 +66,7 @@ def without_turns(
     return found, tuple(said)
 
 
-def _steps(time: Array, values: Array) -> Iterator[tuple[int, float]]:
-    """Samples and sizes of steps across which a column's velocity is continuous."""
-    speed = np.diff(values) / np.diff(time)
-    if len(speed) < 5:
-        return
-    before, after = speed[:-2], speed[2:]
-    change = speed[1:-1] - (before + after) / 2
-    usual = OUTLYING * float(np.quantile(np.abs(change), 0.99))
-    alone = np.abs(before - after) < np.abs(change) / 4
-    for i in 1 + np.flatnonzero((np.abs(change) > usual) & alone):
-        yield int(i), float(change[i - 1] * (time[i + 1] - time[i]))
+def _thaws(values: Array, i: int) -> bool:
+    """Whether a column that stood still moves from a sample on: values were lost, no zero moved."""
+    still = i >= LOST and not np.ptp(values[i - LOST : i + 1])
+    return still and bool(values[i + 1] != values[i + 2])

@@ -74,6 +74,8 @@ def print_estimates(
     said = verdict_of(estimates, posteriors, PLAIN if plain else POSTERIOR, diagnostics)
     well = said[0].code == WELL
     others = [*diagnostics, *diagnostics_of(estimates)]
+    print_diagnostics(out, filter(_of_column, others))  # others may follow from them
+    others = [each for each in others if not _of_column(each)]
     if not well:
         print_diagnostics(out, said, None if everything or posteriors else 1)
         known = {(each.code, each.subject) for each in said}
@@ -96,6 +98,11 @@ def print_estimates(
     if bodies is not None:
         print_tables(out, consistent_tables(bodies))
         print_text(out, map(printable, consistent_lines(bodies)))
+
+
+def _of_column(diagnostic: Diagnostic) -> bool:
+    """Whether it is of what a single column of a recording shows."""
+    return "-column." in diagnostic.code
 
 
 def _print_parameters(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import filter
 from functools import cached_property
 from typing import Any
 
@@ -32,7 +33,12 @@ from testbed.core.kernel.layout import Layout, layout
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.core.parameters.rules import Signal
-from testbed.core.recordings.columns import check_samples
+from testbed.core.recordings.channels import (
+    ChannelFault,
+    channel_faults,
+    left_out,
+)
+from testbed.core.recordings.columns import check_samples, members_of
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.joined import Joined
 from testbed.core.recordings.repeats import without_repeated_poses
@@ -45,6 +51,9 @@ from testbed.core.recordings.views import (
 )
 from testbed.core.robot.friction import BY_LOAD, OFFSET, ROTOR
 from testbed.core.robot.tree import Tree
+
+NOTHING = "nothing"
+"""In place of channels to leave out: faulty samples count, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +69,8 @@ class Problem:
         asked: Settings before that.
         threads: How many to use; None for one a processor.
         progress: Called with samples done and samples in all.
-        diagnostics: Of the recording's poses.
+        diagnostics: Of the recording's poses and channels.
+        faults: Of its channels, whose samples do not count.
     """
 
     tree: Tree
@@ -71,6 +81,7 @@ class Problem:
     threads: int | None = None
     progress: Progress = lambda done, total: None
     diagnostics: tuple[Diagnostic, ...] = ()
+    faults: tuple[ChannelFault, ...] = ()
 
     @classmethod
     def of(
@@ -122,8 +133,21 @@ class Problem:
             if repeated
             else ()
         )
+        check_left_out(source, settings)
+        faults: tuple[ChannelFault, ...] = ()
+        if is_imported(source) and NOTHING not in settings.leave_out:
+            faults = channel_faults(source, torques=method == "internal")
+        diagnostics = (*diagnostics, *(each.diagnostic for each in faults))
         return cls(
-            tree, source, method, complete, settings, threads, progress, diagnostics
+            tree=tree,
+            source=source,
+            method=method,
+            settings=complete,
+            asked=settings,
+            threads=threads,
+            progress=progress,
+            diagnostics=diagnostics,
+            faults=faults,
         )
 
     def with_settings(self, **changes: Any) -> Problem:
@@ -200,6 +224,9 @@ class Problem:
         plan = make_plan(
             source or self.source, self.layout, self.tare, self.settings, per_cutoff
         )
+        channels = [f"{SIGNAL_OF[self.method]}/{name}" for name in self.channels]
+        named, reach = self.settings.leave_out, plan.taps.shape[1] // 2
+        plan = replace(plan, left_out=left_out(self.faults, channels, named, reach))
         if whole and self.settings.reversal_reach is None:
             plan = replace(plan, rest_reach=0)
         # friction alone is sought: what a reversal leaves would bias it
@@ -239,6 +266,23 @@ def samples_of(recording: RecordingLike, settings: Settings) -> Source:
             "imported"
         )
     return Joined([source])
+
+
+def check_left_out(source: Source, settings: Settings) -> None:
+    """Whether channels that are to be left out are some of a recording.
+
+    Args:
+        source: The recording.
+        settings: May name some.
+
+    Raises:
+        UnknownName: A pattern names none.
+    """
+    signals = [signal for signal in SIGNAL_OF.values() if signal in source.signals]
+    known = [f"{s}/{name}" for s in signals for name in members_of(s, source.names)]
+    for pattern in settings.leave_out:
+        if pattern != NOTHING and not filter(known, pattern):
+            raise UnknownName("channel", pattern, known)
 
 
 def check_source(source: Source, tree: Tree, method: Method) -> None:

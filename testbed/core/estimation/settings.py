@@ -220,6 +220,15 @@ class Settings(Checked):
     """Samples from the first to before the second time count [s]. Default: those that the recording
     says are for an estimate, as one from rest to rest does; else all."""
 
+    leave_out: Annotated[
+        Sequence[str],
+        Annotated[tuple[Name, ...], AfterValidator(_distinct)],
+        "a list of names of channels, none twice",
+    ] = ()
+    """Channels that do not count, such as "torque/elbow" or "torque/wrist_*", besides samples of an
+    imported recording that are clipped, dead, stuck, repeated or copied; "nothing": those count,
+    too."""
+
     drives: Annotated[
         Literal["off", "given", "chosen"],
         Literal["off", "given", "chosen"],

@@ -175,7 +175,10 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
                 y[at + len(bodies) + k] *= _varying(
                     signals, term, first, load[:, c], smooth[:, c]
                 )
-        y[layout.rows.measured[c]] = signals.measured[first : first + motion.samples, c]
+        part = slice(first, first + motion.samples)
+        y[layout.rows.measured[c]] = signals.measured[part, c]
+        if len(signals.counts):
+            y[at : at + layout.rows.width[c]] *= signals.counts[part, c]
     return y
 
 

@@ -181,6 +181,9 @@ class Signals(NamedTuple):
     load: Array = (
         NO_LOAD  # of the body columns, their values, (P',), where a law is of the load
     )
+    counts: Array = (
+        NONE  # of samples, 1 or 0 where one is left out of a channel, (M, C)
+    )
 
 
 def sensed(q: Array, qd: Array, qdd: Array, channels: int) -> Signals:

@@ -365,6 +365,10 @@ def fill_own(rows, signals, first, count, work, Y, at):
             qd, y = work.U[rows.link[c]][B:], (rows.slots + c) * D + at
             for k in range(NB):
                 Y[y + k] = 0.0 if abs(qd[k]) > signals.deadband else 1.0
+        if len(signals.counts):
+            for s in range(rows.start[c], rows.start[c] + rows.width[c]):
+                for k in range(count):
+                    Y[s * D + at + k] *= signals.counts[first + k, c]
 
 
 @plain

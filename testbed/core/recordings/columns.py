@@ -106,6 +106,9 @@ def sensors_in(columns: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(own))
 
 
+STILL = 1e-3
+"""Motion below which a joint rests [rad or m]."""
+
 LARGEST = 1e12
 """What no instrument measures, in any SI unit."""
 

@@ -10,12 +10,10 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError, few
+from testbed.core.recordings.columns import STILL
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import of_joints, transformed
 from testbed.core.robot.model_file import ModelFile, joint_names
-
-STILL = 1e-3
-"""Motion below which a joint rests [rad or m]."""
 
 BLOCK = 100_000
 """Samples that are read at once."""

@@ -25,7 +25,7 @@ def without_repeated_poses(source: Source) -> tuple[Source, float]:
     if source.samples > 200_000 or source.senses_kinematics or len(source.segments) > 1:
         return source, 0.0
     recording = source.part(0, source.samples)
-    _, lengths = _runs(recording.position)
+    _, lengths = runs(recording.position)
     whole = lengths[:-1]
     typical = float(np.median(whole)) if len(whole) > DEGREE else 1.0
     # part of the runs of equal poses that are of one length if a device makes them: steps of an
@@ -58,7 +58,7 @@ def slow_device(values: Array) -> NDArray[np.bool_]:
     Returns:
         (M,) of bool.
     """
-    starts, lengths = _runs(values)
+    starts, lengths = runs(values)
     typical, since = (
         _typical(lengths),
         np.arange(len(values)) - np.repeat(starts, lengths),
@@ -74,12 +74,12 @@ def held_share(values: Array) -> float:
     Args:
         values: Of all channels, (M, k).
     """
-    _, lengths = _runs(values)
+    _, lengths = runs(values)
     moving = lengths <= REST * _typical(lengths)
     return float((lengths[moving] - 1).sum() / len(values))
 
 
-def _runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First samples of runs of equal ones, and their lengths."""
     changes = np.append(True, (np.diff(values, axis=0) != 0).any(axis=1))
     starts = np.flatnonzero(changes)

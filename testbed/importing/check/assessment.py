@@ -17,6 +17,7 @@ from testbed.core.base.diagnostics import (
 )
 from testbed.core.base.errors import RecordingError
 from testbed.core.estimation.estimate import sensor_of
+from testbed.core.recordings.channels import ChannelFault, channel_faults
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
@@ -87,6 +88,7 @@ class Assessment(Diagnosed):
         as_read: The plate as it is read; None without one.
         best: What explains the plate best; None without one.
         verdict: On the torques where there is no plate; None where nothing can be judged.
+        faults: Of single channels.
     """
 
     diagnostics: tuple[Diagnostic, ...]
@@ -96,6 +98,7 @@ class Assessment(Diagnosed):
     as_read: Explanation | None = None
     best: Explanation | None = None
     verdict: TorqueVerdict | None = None
+    faults: tuple[ChannelFault, ...] = ()
 
     @property
     def judged(self) -> bool:
@@ -156,17 +159,29 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
     if odd:
         return Assessment(odd)
     beyond = tuple(out_of_range(tree, part.position))
+    faults = channel_faults(part)
     if part.wrench is None:
-        return _judge_torques(tree, part, beyond)
-    assessment = _judge(tree, part, beyond, CUTOFF, progress)
+        return with_faults(_judge_torques(tree, part, beyond, faults), faults)
+    assessment = _judge(tree, part, beyond, CUTOFF, progress, faults)
     best = assessment.best
     if best is not None and not best.plate.explained():
         # noise may hide what is below it
-        slow = _judge(tree, part, beyond, SLOW, progress)
+        slow = _judge(tree, part, beyond, SLOW, progress, faults)
         if slow.best is not None and slow.best.plate.cost < best.plate.cost - APART:
             assessment = slow
     named = of_instrument(assessment.diagnostics, sensor_of(tree))
-    return replace(assessment, diagnostics=named)
+    return with_faults(replace(assessment, diagnostics=named), faults)
+
+
+def with_faults(assessment: Assessment, faults: tuple[ChannelFault, ...]) -> Assessment:
+    """An assessment that begins with the faults of single channels.
+
+    Args:
+        assessment: Of the recording.
+        faults: Of its channels.
+    """
+    named = (*(each.diagnostic for each in faults), *assessment.diagnostics)
+    return replace(assessment, diagnostics=named, faults=faults)
 
 
 def _judge(
@@ -175,6 +190,7 @@ def _judge(
     beyond: Sequence[Diagnostic],
     cutoff: float,
     progress: Progress | None,
+    faults: Sequence[ChannelFault],
 ) -> Assessment:
     """What explanations say of a recording up to a cutoff; `beyond`: of positions out of range."""
     mapping = part.metadata.mapping or {}
@@ -194,9 +210,9 @@ def _judge(
         mended = changing.explains(best)
         plate = [*([] if mended else plate), diagnostic(changing, best)]
     foreign = any(each.level == "error" for each in plate)
-    torques = _beside_plate(tree, part, best)
+    torques = _beside_plate(tree, part, best, faults)
     for other in search.with_senses(best, _doubtful(torques)):
-        again = _beside_plate(tree, part, other)
+        again = _beside_plate(tree, part, other, faults)
         likelier = _likelier(again, torques)
         if likelier > CERTAIN:
             best, torques, explanations = other, again, [other]
@@ -232,7 +248,10 @@ def _judge(
 
 
 def _judge_torques(
-    tree: Tree, part: Recording, beyond: Sequence[Diagnostic]
+    tree: Tree,
+    part: Recording,
+    beyond: Sequence[Diagnostic],
+    faults: Sequence[ChannelFault],
 ) -> Assessment:
     """What a recording of torques alone says."""
     instants = sample(part)
@@ -241,7 +260,7 @@ def _judge_torques(
     rest = tuple(at_rest(tree, instants))
     if rest:
         return Assessment((*beyond, *rest))
-    torques = assess_torques(tree, part)
+    torques = assess_torques(tree, part, faults)
     still = list(still_joints(tree, instants, torques.unexplained))
     clear = any(each.lines for each in torques.remedies)
     said = [*([] if clear else beyond), *torques.diagnostics]
@@ -252,7 +271,9 @@ def _judge_torques(
     )
 
 
-def _beside_plate(tree: Tree, part: Recording, best: Explanation) -> TorqueAssessment:
+def _beside_plate(
+    tree: Tree, part: Recording, best: Explanation, faults: Sequence[ChannelFault]
+) -> TorqueAssessment:
     """What torques say beside a plate, by which positions and bodies are known."""
     if part.torque is None:
         return TorqueAssessment()
@@ -262,7 +283,7 @@ def _beside_plate(tree: Tree, part: Recording, best: Explanation) -> TorqueAsses
         if each.kind != "late":
             position = corrected(each, position, offset)
     prior = plate_prior(tree, *best.fit.plate.posterior(best.plate)[:2])
-    return assess_torques(tree, replace(part, position=position), prior)
+    return assess_torques(tree, replace(part, position=position), faults, prior)
 
 
 def _doubtful(torques: TorqueAssessment) -> list[int]:

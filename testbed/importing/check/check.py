@@ -20,6 +20,7 @@ from testbed.core.base.diagnostics import (
 from testbed.core.base.errors import RecordingError
 from testbed.core.base.toml_text import checked
 from testbed.core.parameters.symbols import standard
+from testbed.core.recordings.channels import channel_faults
 from testbed.core.recordings.geometry import geometry
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
@@ -28,6 +29,7 @@ from testbed.core.robot.tree import Tree
 from testbed.importing.check.assessment import Assessment, assess
 from testbed.importing.check.instants import middle
 from testbed.importing.check.recording_diagnostics import (
+    clocked,
     encoder_steps,
     unknown_gains,
 )
@@ -126,7 +128,8 @@ def check_recording(
     if any(each.code == "robot.rest" for each in doubts):
         offsets = ()  # without a motion there is no delay
     if offsets is None:
-        offsets = time_offsets(tree, source, clocked(source))
+        faults = channel_faults(source)
+        offsets = time_offsets(tree, source, clocked(source, faults))
     for each in offsets:
         if each.matters:
             lines = in_mapping(_alignment([each], source))
@@ -134,19 +137,6 @@ def check_recording(
                 each.diagnostic(f"{lines}, or import with --model and --align")
             )
     return CheckReport(tuple(offsets), tuple(doubts))
-
-
-def clocked(source: Source) -> list[str]:
-    """Signals whose delay their own clock may make: a wrench, and torques of another source.
-
-    Args:
-        source: The recording.
-    """
-    mapping = source.metadata.mapping or {}
-    torque, position = (
-        (mapping.get(each) or {}).get("source") for each in ("torque", "position")
-    )
-    return ["torque", "wrench"] if torque != position else ["wrench"]
 
 
 def _base_motion(source: Source) -> Iterator[Diagnostic]:

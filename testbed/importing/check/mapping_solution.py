@@ -29,13 +29,14 @@ from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.assessment import Assessment, assess, zero_hypothesis
-from testbed.importing.check.check import Prepared, clocked
+from testbed.importing.check.check import Prepared
 from testbed.importing.check.draft_mapping import ASSUMED, KNOWN, missing
 from testbed.importing.check.explanation import Explanation
 from testbed.importing.check.plate import FAR, WrenchFit
 from testbed.importing.check.plate_frame import frame_of, unit_ratio
 from testbed.importing.check.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
 from testbed.importing.check.recording_diagnostics import (
+    clocked,
     encoder_steps,
     removed,
     share,
@@ -128,7 +129,7 @@ def solve_mapping(
         if assessment.best is not None:
             draft = _by_the_data(draft, assessment.best, said)
         if assessment.judged:
-            offsets = time_offsets(tree, source, clocked(source))
+            offsets = time_offsets(tree, source, clocked(source, assessment.faults))
             in_time = _with_clocks(draft, source, offsets)
             prepared = replace(prepared, offsets=offsets)
             if in_time is not draft:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import components, few, round_significant
-from testbed.core.recordings.columns import AXES
-from testbed.core.recordings.held import STILL
+from testbed.core.recordings.channels import ChannelFault
+from testbed.core.recordings.columns import AXES, STILL
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
@@ -404,3 +404,22 @@ def unknown_gains(source: Source) -> Iterator[Diagnostic]:
     mapping = source.metadata.mapping or {}
     if (mapping.get("torque") or {}).get("gain_from") == "model":
         yield diagnose("torque.gains", "the torque")
+
+
+UNTIMED = ("clipped", "dead", "stuck", "slow", "copied", "magnitude", "smoothed")
+"""Faults of torques with which their delay is not determined."""
+
+
+def clocked(source: Source, faults: Iterable[ChannelFault]) -> list[str]:
+    """Signals whose delay their own clock may make: a wrench, and torques of another source.
+
+    Args:
+        source: The recording.
+        faults: Of its channels.
+    """
+    mapping = source.metadata.mapping or {}
+    torque, position = (
+        (mapping.get(each) or {}).get("source") for each in ("torque", "position")
+    )
+    faulty = any(each.signal == "torque" and each.kind in UNTIMED for each in faults)
+    return ["wrench"] if faulty or torque == position else ["torque", "wrench"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import few, quoted
+from testbed.core.recordings.channels import ChannelFault
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.body_prior import BodyPrior, body_prior
@@ -74,16 +75,20 @@ class TorqueAssessment:
 
 
 def assess_torques(
-    tree: Tree, recording: Recording, prior: BodyPrior | None = None
+    tree: Tree,
+    recording: Recording,
+    faults: Sequence[ChannelFault] = (),
+    prior: BodyPrior | None = None,
 ) -> TorqueAssessment:
     """What a log's torques say of its mapping and of gravity.
 
     Args:
         tree: The robot, under the gravity that the log is told.
         recording: In the order of its joints.
+        faults: Of its channels; their samples do not count.
         prior: Of its bodies by a force plate, beside which positions and gravity are known.
     """
-    signals = torque_signals(recording)
+    signals = torque_signals(recording, faults)
     if signals is None:
         return TorqueAssessment()
     bodies = body_prior(tree) if prior is None else prior

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
+from testbed.core.recordings.channels import ChannelFault, left_out
 from testbed.core.recordings.recording import Recording
 from testbed.importing.check.remedies import Hypothesis, corrected
 
@@ -101,15 +103,18 @@ class TorqueSignals:
         return signals
 
 
-def torque_signals(recording: Recording) -> TorqueSignals | None:
+def torque_signals(
+    recording: Recording, faults: Sequence[ChannelFault] = ()
+) -> TorqueSignals | None:
     """Signals of a recording with torques; None where it is too short.
 
     Args:
         recording: In the order of the robot's joints.
+        faults: Of its channels; their samples do not count.
     """
     from scipy.signal import butter, sosfiltfilt
 
-    rate, torque = recording.rate, recording.measured("torque")
+    rate, torque, n = recording.rate, recording.measured("torque"), len(recording.names)
     cutoff = min(CUTOFF, rate / 7)
     edge = int(rate / cutoff)
     inside = recording.samples - 2 * edge
@@ -136,13 +141,20 @@ def torque_signals(recording: Recording) -> TorqueSignals | None:
         filtered(slow),
     ]
     at = np.unique(np.arange(edge, edge + inside, step).astype(int))
-    alive = [not _constant(each) for each in torque.T]
+    counted = np.broadcast_to([not _constant(each) for each in torque.T], (len(at), n))
+    channels = [f"torque/{name}" for name in recording.names]
+    for k, spans in enumerate(left_out(faults, channels, (), edge)):
+        near = spans + np.array([-edge, edge])  # as far as the low-pass reaches
+        spoiled = (at[:, None] >= near[:, 0]) & (at[:, None] < near[:, 1])
+        counted = np.where(
+            np.arange(n) == k, counted & ~spoiled.any(axis=1)[:, None], counted
+        )
     return TorqueSignals(
         position[at],
         velocity[at],
         acceleration[at],
         np.stack(friction, axis=-1)[at],
-        np.broadcast_to(alive, (len(at), len(alive))),
+        counted,
         filtered(torque),
         at,
         rate,

@@ -107,7 +107,7 @@ def diagnostics(
     tree, tare = problem.tree, problem.tare
     faults = [*_few(estimate), *_encoders(tree, survey.position)]
     faults += [
-        *_channels(estimate, survey.measured),
+        *_channels(estimate, survey.measured, problem),
         *_repeated(estimate, survey.repeats),
     ]
     negative: list[Diagnostic] = []
@@ -246,9 +246,14 @@ def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
     return [cause for holds, cause in causes if holds]
 
 
-def _channels(estimate: Estimate, measured: Array) -> Iterator[Diagnostic]:
-    """Signals that stop at a value, or never leave it."""
+def _channels(
+    estimate: Estimate, measured: Array, problem: Problem
+) -> Iterator[Diagnostic]:
+    """Signals that stop at a value, or never leave it, and count nevertheless."""
+    named = {fault.name for fault in problem.faults}
     for c, values in enumerate(measured.T):
+        if estimate.channels[c] in named:
+            continue
         unit, label, method = (
             estimate.channel_units[c],
             estimate.label(c),

@@ -23,6 +23,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.stages import Progress
 from testbed.core.estimation.regression.windows import Plan, Window
 from testbed.core.kernel import numpy_engine
+from testbed.core.kernel.layout import Layout
 from testbed.core.kernel.records import Block, Signals, Sums, sensed
 from testbed.core.recordings.columns import LARGEST, check_times, check_values
 from testbed.core.recordings.recording import Recording
@@ -35,6 +36,9 @@ ORDER = 8
 
 HELD = 0.1
 """Part of the samples at which poses are recorded again, from which the encoders are slower."""
+
+COUNTING = 0.05
+"""Part of the square of a row's weights on samples that count, from which the row does."""
 
 STRETCH = 256
 """Samples whose noise is averaged; of such means, the middle one counts: spikes are no noise."""
@@ -223,6 +227,32 @@ def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
     return np.concatenate([block.rows for block in made], axis=1)
 
 
+def of_unit_noise(
+    layout: Layout, signals: Signals, blocks: Sequence[Block]
+) -> list[Block]:
+    """Rows whose samples are left out in part, their white noise as large as that of others.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        blocks: Its rows.
+    """
+    squares = signals.weights**2 / np.sum(signals.weights**2)
+    at = signals.start + signals.step * np.arange(signals.number)
+    share = np.stack(
+        [np.convolve(each, squares, "same")[at] for each in signals.counts.T]
+    )
+    scale = np.where(share < COUNTING, 0.0, np.maximum(share, COUNTING) ** -0.5)
+    factor = np.repeat(scale, layout.rows.width, axis=0)
+    scaled = []
+    for block in blocks:
+        rows = block.rows * factor[:, block.first :][:, : block.rows.shape[1]]
+        channels = np.split(rows, layout.rows.start[1:])
+        used = [np.count_nonzero(each.any(axis=0)) for each in channels]
+        scaled.append(Block(block.first, rows, np.array(used, np.float64)))
+    return scaled
+
+
 class Passes:
     """Answers questions about all rows of a plan, pass by pass."""
 
@@ -329,7 +359,7 @@ class Passes:
 
     def _products(self, signals: Signals, window: Window) -> Sums:
         layout = self.plan.layout
-        if self._keeps(window) or not self.compiled:
+        if self._keeps(window) or not self.compiled or len(signals.counts):
             return numpy_engine.sweep(layout, signals, self._blocks(signals, window))
         with self._workspace(signals) as work:
             sums: Sums = self._engine.sweep(layout, signals, work)
@@ -350,6 +380,8 @@ class Passes:
             return self._kept[window.row]
         with self._workspace(signals) as work:
             made: list[Block] = self._engine.rows(self.plan.layout, signals, work)
+        if len(signals.counts):
+            made = of_unit_noise(self.plan.layout, signals, made)
         if self._keeps(window):
             self._kept[window.row] = made
         return made

@@ -238,6 +238,8 @@ class Plan:
         spans: Rows that no gap of the source touches: the first of each run, and how many.
         engine: What makes the rows, as `Settings.engine` says it.
         load: Values of the body columns, (P',), for laws of the load; None without such.
+        left_out: Samples of each channel that do not count, from the first to before the second,
+            (k, 2) each; () where all count.
     """
 
     source: Source
@@ -251,6 +253,7 @@ class Plan:
     spans: tuple[tuple[int, int], ...]
     engine: str
     load: Array | None = None
+    left_out: tuple[NDArray[np.int64], ...] = ()
 
     @property
     def rows(self) -> int:
@@ -341,7 +344,18 @@ class Plan:
             number=window.rows,
             varying=self._varying(part, window) if varying else NONE,
             load=NO_LOAD if self.load is None else self.load,
+            counts=self._counts(window.first, part.samples),
         )
+
+    def _counts(self, first: int, number: int) -> Array:
+        """Ones for samples that count and zeros for others, (number, C); empty if all do."""
+        edges = np.zeros((number + 1, len(self.left_out)))
+        for channel, spans in zip(edges.T, self.left_out, strict=True):
+            begin, end = np.clip(spans.T - first, 0, number)
+            np.add.at(channel, begin, 1)
+            np.add.at(channel, end, -1)
+        missing = np.cumsum(edges[:-1], axis=0) > 0
+        return np.where(missing, 0.0, 1.0) if missing.any() else NONE
 
     def _varying(self, part: Recording, window: Window) -> Array:
         """Time since the middle of the source [s], and the drives' temperatures over 25 degC."""
