@@ -94,6 +94,7 @@ def _solution(
     files: Sequence[Path], written: Path, reading: Reading
 ) -> MappingSolution:
     """Mapping by the columns' names and, where the robot is known, by the data."""
+    from testbed.core.robot.gravity import in_words
     from testbed.core.robot.placeholders import placeholders
     from testbed.importing.check.draft_mapping import draft_mapping
     from testbed.importing.check.mapping_solution import MappingSolution, solve_mapping
@@ -104,6 +105,9 @@ def _solution(
         if reading.model is None:
             return MappingSolution(guessed(files, written.parent))
         draft, file, tree = draft_mapping(files, written.parent, reading.file)
+        if reading.gravity is not None:
+            told = in_words(reading.gravity)
+            draft = draft.saying("", "gravity", told, "by --gravity")
     with output.Progress("solving the mapping, hypotheses") as bar:
         solution = solve_mapping(draft, written, tree, bar)
     lock = solution.draft.tables.get("lock", {})
@@ -147,7 +151,15 @@ def import_(
     *,
     reading: Annotated[
         Reading,
-        Fields("model", "settings", "weld_root", "lock", "lock_mimic", "unchecked"),
+        Fields(
+            "model",
+            "gravity",
+            "settings",
+            "weld_root",
+            "lock",
+            "lock_mimic",
+            "unchecked",
+        ),
     ],
     align: Annotated[
         bool,

@@ -99,7 +99,7 @@ def new(
             "--strict", help="Refuse impossible bodies instead of repairing them."
         ),
     ] = False,
-    reading: Annotated[Reading, Fields("lock", "lock_mimic", "leave_out")],
+    reading: Annotated[Reading, Fields("gravity", "lock", "lock_mimic", "leave_out")],
     force: Force = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
@@ -121,6 +121,10 @@ def new(
 
     check_outputs(out, force=force, read=(robot, *(recording or ())))
     reading = replace(reading, model=robot)
+    if reading.gravity is not None and not recording:
+        raise typer.BadParameter(
+            "--gravity is of a log: --recording goes with it; an experiment file has gravity = ..."
+        )
     if recording:
         stem = recording[0].name.partition(".")[0]
         _recorded(recording, out or Path(f"{stem}.toml"), reading, force=force)

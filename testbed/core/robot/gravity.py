@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from testbed.core.base.errors import SettingsError
@@ -40,3 +41,13 @@ def gravity_of(given: Any) -> Any:
             f"'{given:.40}' is no gravity: three numbers [m/s^2], or {', '.join(MOUNTINGS)}"
         ) from None
     return [x, y, z]
+
+
+def in_words(gravity: Sequence[float]) -> str | list[float]:
+    """The word for a gravity, or its numbers where there is none [m/s^2].
+
+    Args:
+        gravity: (3,) [m/s^2].
+    """
+    numbers = [float(each) for each in gravity]
+    return next((word for word, g in MOUNTINGS.items() if g == numbers), numbers)

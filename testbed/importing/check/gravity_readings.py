@@ -230,7 +230,7 @@ def on_axis(reading: LogReading) -> LogReading:
     apart = np.arccos(np.clip(nearest @ reading.gravity / size, -1, 1))
     if apart > max(LEVEL, ALIKE * reading.sigma.max(initial=0.0)):
         return reading
-    value = tuple((size * nearest + 0.0).tolist())
+    value = tuple((np.round(size * nearest, 4) + 0.0).tolist())
     gravity = Hypothesis("gravity", (), value)
     hypotheses = [
         gravity if each.kind == "gravity" else each for each in reading.hypotheses

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import AnyArray, Array
 from testbed.core.base.errors import few, round_significant
 from testbed.core.recordings.columns import AXES
+from testbed.core.robot import gravity
 from testbed.core.robot.free_base import FREE, coordinates, poses
-from testbed.core.robot.gravity import MOUNTINGS
 from testbed.core.robot.rotations import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.foreign_table import LENGTHS, factor
@@ -313,8 +313,7 @@ def _lines(
     if hypothesis.kind == "spring":
         return  # no line of a mapping says so
     if hypothesis.kind == "gravity":
-        words = (word for word, g in MOUNTINGS.items() if g == [*hypothesis.values])
-        yield "", "gravity", next(words, list(hypothesis.values))
+        yield "", "gravity", gravity.in_words(hypothesis.values)
         return
     for name, table in tables_of(mapping, signal).items():
         if signal == "wrench":
