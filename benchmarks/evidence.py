@@ -60,11 +60,13 @@ def judged(case: Planted) -> dict[str, Any]:
     kinds = {each.kind for each in found.remedies}
     close, error, sigma = _gravity(case, mapping, found)
     close = close and ("gravity_removed" in kinds) == case.removed
-    close = close and _same_signals(case, mapping) and _same_delay(case, mapping)
+    close = close and _same_signals(case, mapping)
     close = close and _same_gains(case, mapping, found, changed="torque_size" in kinds)
+    late = _same_delay(case, mapping)
     return {
         "robot": case.robot, "kind": case.kind, "planted": case.what,
-        "result": _result(case, found, close),
+        "result": "silent" if close and not late and "delay" not in kinds
+        else _result(case, found, close and late),
         "proposed": [_in_words(each) for each in found.remedies],
         "first": next(iter(sentences(found.diagnostics[:1])), ""), "equals": list(found.equals),
         "gravity_deg": error, "sigma_deg": sigma,

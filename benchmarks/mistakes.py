@@ -21,6 +21,7 @@ from testbed.core.recordings.metadata import Metadata
 from testbed.importing.check.assessment import assess
 from testbed.importing.check.remedies import with_lines
 from testbed.importing.convert import pieces
+from testbed.importing.encoder_steps import without_turns
 from testbed.importing.foreign_table import KINDS
 from testbed.importing.mapping import SignalTable
 from testbed.importing.signal_maps import EFFORTS, joint_signal
@@ -104,7 +105,10 @@ def recorded(real: tb.Recording, mapping: dict[str, Any]) -> tb.Recording:
     signals: dict[str, Any] = {}
     for kind in (each for each in KINDS if each in mapping):
         values = real.measured(kind)[:, [int(column) for column in mapping[kind]["columns"]]]
-        signals[kind] = joint_signal(kind, SignalTable(**mapping[kind]), None, values)
+        table = SignalTable(**mapping[kind])
+        if kind == "position":  # as an import does
+            values, _ = without_turns(table, real.names, real.time, values)
+        signals[kind] = joint_signal(kind, table, None, values)
     currents = EFFORTS.get(mapping["torque"]["unit"][0], "torque")
     metadata = Metadata(mapping=mapping, effort=dict.fromkeys(real.names, currents))
     return tb.Recording(real.names, real.time, **signals, metadata=metadata)

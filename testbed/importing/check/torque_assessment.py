@@ -144,28 +144,29 @@ def body_sizes(case: TorqueCase) -> Array:
     Args:
         case: The log.
     """
-    products, count = case.products, case.products.shared
-    bodies = np.zeros_like(products.mean)
-    bodies[:count] = products.mean[:count]
-    local = np.eye(len(bodies))[count : count + SCALED]
-    columns = np.vstack([local, bodies])
-    inputs = products.products(case.gravity)
-    fitted = [
-        inputs.times(np.broadcast_to(each, inputs.moment.shape)) for each in columns
-    ]
-    gram = np.stack(fitted, axis=1) @ columns.T
-    mean = inputs.times(np.broadcast_to(products.mean, inputs.moment.shape))
-    moment = ((inputs.moment + mean) @ columns.T)[..., None]
+    gram, moment = _bodies_beside_friction(case)
     scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-30))
     gram = gram / scale[:, :, None] / scale[:, None] + RIDGE * np.eye(gram.shape[1])
-    values = np.linalg.solve(gram, moment / scale[..., None])[..., 0]
+    values = np.linalg.solve(gram, (moment / scale)[..., None])[..., 0]
     own = 1 / np.linalg.inv(gram)[:, -1, -1]  # what no friction imitates
-    explained = own * values[:, -1] ** 2
-    whole = products.whole()
+    explained, whole = own * values[:, -1] ** 2, case.products.whole()
     left = whole - (values * (gram @ values[..., None])[..., 0]).sum(axis=1)
     clear = explained > np.maximum(CLEAR * whole, TIMES * np.maximum(left, 0.0))
     sizes = values[:, -1] / scale[:, -1]
     return np.where(clear & (sizes > 0) & case.live, sizes, np.nan)
+
+
+def _bodies_beside_friction(case: TorqueCase) -> tuple[Array, Array]:
+    """Normal equations of each torque on friction and what the file's bodies make of it."""
+    products, count = case.products, case.products.shared
+    columns = np.zeros((SCALED + 1, len(products.mean)))
+    columns[:SCALED, count : count + SCALED] = np.eye(SCALED)
+    columns[-1, :count] = products.mean[:count]
+    inputs = products.products(case.gravity)
+    shape = inputs.moment.shape
+    fitted = [inputs.times(np.broadcast_to(each, shape)) for each in columns]
+    mean = inputs.times(np.broadcast_to(products.mean, shape))
+    return np.stack(fitted, axis=1) @ columns.T, (inputs.moment + mean) @ columns.T
 
 
 def _resized(case: TorqueCase, sizes: Array) -> LogReading:

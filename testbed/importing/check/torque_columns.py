@@ -107,27 +107,14 @@ def size_reading(case: TorqueCase) -> LogReading:
     Args:
         case: The log.
     """
-    products, n = case.products, case.tree.n
-    mean = products.mean[: products.shared]
-    inputs = products.products(case.gravity)
-    logs, variance, precision = np.zeros(n), None, np.eye(n) / FACTOR**2
-    for step in range(STEPS + 1):
-        rounds = 2 if step < STEPS else 3
-        scaled = inputs.scaled(np.exp(logs), mean)
-        estimate = case.evidence(scaled, variance, rounds)
-        variance = estimate.variance
-        gradient, information = _sizes_step(scaled, estimate, mean)
-        if step < STEPS:
-            gradient -= logs / FACTOR**2
-            change = np.linalg.solve(information + precision, gradient)
-            logs = logs + np.clip(change, -STEP, STEP)
-    covariance = np.linalg.inv(information + precision)
+    n, prior = case.tree.n, np.eye(case.tree.n) / FACTOR**2
+    logs, estimate, information = _sizes(case, prior)
+    covariance = np.linalg.inv(information + prior)
     # of sizes beside each other: a common factor is that of all masses
     relative = np.eye(n) - case.live / case.live.sum()
     spread = np.sqrt(np.diagonal(relative @ covariance @ relative.T))
     volume = np.linalg.slogdet(np.eye(n) + FACTOR**2 * information)[1]
-    penalty = ((logs / FACTOR) ** 2)[case.live].sum()
-    odds = float(SIZES - 0.5 * (penalty + volume))
+    odds = float(SIZES - 0.5 * (logs[case.live] @ logs[case.live] / FACTOR**2 + volume))
     known = (spread < max(KNOWN * spread[case.live].min(), SHARP)) & case.live
     told = np.where(known, logs, logs[known].mean())
     sizes = Hypothesis("torque_size", tuple(range(n)), tuple(np.exp(told).tolist()))
@@ -140,6 +127,24 @@ def size_reading(case: TorqueCase) -> LogReading:
         log=estimate.log + odds,
         sigma=np.where(known, spread, np.inf),
     )
+
+
+def _sizes(case: TorqueCase, prior: Array) -> tuple[Array, Evidence, Array]:
+    """Logarithms of sizes by Gauss's and Newton's steps, their evidence and information."""
+    products = case.products
+    mean = products.mean[: products.shared]
+    inputs, logs = products.products(case.gravity), np.zeros(case.tree.n)
+    variance = None
+    for _ in range(STEPS):
+        scaled = inputs.scaled(np.exp(logs), mean)
+        estimate = case.evidence(scaled, variance, rounds=2)
+        variance = estimate.variance
+        gradient, information = _sizes_step(scaled, estimate, mean)
+        change = np.linalg.solve(information + prior, gradient - prior @ logs)
+        logs = logs + np.clip(change, -STEP, STEP)
+    scaled = inputs.scaled(np.exp(logs), mean)
+    estimate = case.evidence(scaled, variance, rounds=3)
+    return logs, estimate, _sizes_step(scaled, estimate, mean)[1]
 
 
 def contradictory(reading: LogReading) -> bool:

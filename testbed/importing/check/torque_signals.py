@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,54 +113,64 @@ def torque_signals(
         recording: In the order of the robot's joints.
         faults: Of its channels; their samples do not count.
     """
-    from scipy.signal import butter, sosfiltfilt
-
-    rate, torque, n = recording.rate, recording.measured("torque"), len(recording.names)
+    rate = recording.rate
     cutoff = min(CUTOFF, rate / 7)
     edge = int(rate / cutoff)
     inside = recording.samples - 2 * edge
     step = max(rate / A_SECOND, inside / MOST, 1.0)
     if inside < LEAST * step:
         return None
-    low_pass = butter(3, cutoff / (rate / 2), output="sos")
-    pad = min(3 * edge, recording.samples - 2)
-
-    def filtered(signal: Array) -> Array:
-        return np.asarray(sosfiltfilt(low_pass, signal, axis=0, padlen=pad))
-
-    position = filtered(recording.position)
-    velocity = _derivative(position, rate)
-    acceleration = _derivative(velocity, rate)
-    fastest = np.percentile(np.abs(velocity), 98, axis=0) + 1e-9
-    sense = np.tanh(velocity / (DRY * fastest))
-    slow = sense * np.exp(-((velocity / (STRIBECK * fastest)) ** 2))
-    size = np.sqrt((acceleration**2).mean(axis=0)) + 1e-9
-    friction = [
-        velocity / fastest,
-        filtered(sense),
-        acceleration / size,
-        filtered(slow),
-    ]
     at = np.unique(np.arange(edge, edge + inside, step).astype(int))
-    counted = np.broadcast_to([not _constant(each) for each in torque.T], (len(at), n))
-    channels = [f"torque/{name}" for name in recording.names]
-    for k, spans in enumerate(left_out(faults, channels, (), edge)):
-        near = spans + np.array([-edge, edge])  # as far as the low-pass reaches
-        spoiled = (at[:, None] >= near[:, 0]) & (at[:, None] < near[:, 1])
-        counted = np.where(
-            np.arange(n) == k, counted & ~spoiled.any(axis=1)[:, None], counted
-        )
+    low_pass = partial(_filtered, rate=rate, cutoff=cutoff)
+    q = low_pass(recording.position)
+    qd = _derivative(q, rate)
+    qdd = _derivative(qd, rate)
     return TorqueSignals(
-        position[at],
-        velocity[at],
-        acceleration[at],
-        np.stack(friction, axis=-1)[at],
-        counted,
-        filtered(torque),
+        q[at],
+        qd[at],
+        qdd[at],
+        _friction(qd, qdd, low_pass)[at],
+        _counted(recording, faults, at, edge),
+        low_pass(recording.measured("torque")),
         at,
         rate,
         "velocity" in recording.signals,
     )
+
+
+def _filtered(signal: Array, rate: float, cutoff: float) -> Array:
+    """A signal through a low-pass without delay, (M, n)."""
+    from scipy.signal import butter, sosfiltfilt
+
+    low_pass = butter(3, cutoff / (rate / 2), output="sos")
+    pad = min(3 * int(rate / cutoff), len(signal) - 2)
+    return np.asarray(sosfiltfilt(low_pass, signal, axis=0, padlen=pad))
+
+
+def _friction(qd: Array, qdd: Array, low_pass: Callable[[Array], Array]) -> Array:
+    """Viscous, dry, rotor's and Stribeck's torques of about unit size, (M, n, 4)."""
+    fastest = np.percentile(np.abs(qd), 98, axis=0) + 1e-9
+    sense = np.tanh(qd / (DRY * fastest))
+    slow = sense * np.exp(-((qd / (STRIBECK * fastest)) ** 2))
+    rotor = qdd / (np.sqrt((qdd**2).mean(axis=0)) + 1e-9)
+    return np.stack([qd / fastest, low_pass(sense), rotor, low_pass(slow)], axis=-1)
+
+
+def _counted(
+    recording: Recording,
+    faults: Sequence[ChannelFault],
+    at: NDArray[np.intp],
+    reach: int,
+) -> NDArray[np.bool_]:
+    """Whether a torque counts: none of a dead channel, nor near samples of a fault, (T, n)."""
+    alive = [not _constant(each) for each in recording.measured("torque").T]
+    counted = np.tile(alive, (len(at), 1))
+    channels = [f"torque/{name}" for name in recording.names]
+    for k, spans in enumerate(left_out(faults, channels, (), reach)):
+        begin, end = (spans + np.array([-reach, reach])).T
+        spoiled = (at[:, None] >= begin) & (at[:, None] < end)
+        counted[:, k] &= ~spoiled.any(axis=1)
+    return counted
 
 
 def _constant(channel: Array) -> bool:
