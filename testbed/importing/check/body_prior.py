@@ -29,6 +29,9 @@ WIDEST = 0.5
 CERTAIN = 1e-3
 """Sigma of the size of what a force plate has shown."""
 
+NONE = 1e-9
+"""Sigma of parameters that are zero."""
+
 UNKNOWN = 5.0
 """Times that the prior is as wide where the model file has no masses."""
 
@@ -70,8 +73,11 @@ def body_prior(tree: Tree) -> BodyPrior:
         body = _measured(inertia if total else Inertia(1.0, np.zeros(3), np.eye(3)))
         least = (LIGHT if tree.children(k) else TOOL) * (total or n)
         heavy = max(body.mass, least)
-        values[k] = standard_of(body)
-        root[k, :, k] = _body_root(body, heavy)
+        values[k] = standard_of(body) * (k >= tree.massless)
+        # links between the coordinates of a free base have no matter, whatever the data say
+        root[k, :, k] = (
+            NONE * np.eye(10) if k < tree.massless else _body_root(body, heavy)
+        )
     flat = root.reshape(10 * n, 10 * n)
     mean = np.zeros(10 * n)
     if total:

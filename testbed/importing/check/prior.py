@@ -36,9 +36,7 @@ class ScaledPrior:
     @cached_property
     def root(self) -> Array:
         """Root of their covariance, (10 n, 10 n)."""
-        root = body_prior(self.tree).barycentric.copy()
-        root[: self.tree.massless] = 0.0
-        return root.reshape(10 * self.tree.n, -1)
+        return body_prior(self.tree).barycentric.reshape(10 * self.tree.n, -1)
 
     @property
     def weight(self) -> float:
