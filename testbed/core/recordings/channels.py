@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import argrelmin
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
@@ -267,8 +266,13 @@ def _coarse(values: Array, joint: _Joint) -> Finding | None:
 
 def _magnitude(values: Array, joint: _Joint) -> Finding | None:
     """Values of one sign that bounce at zero."""
+    from scipy.ndimage import minimum_filter1d  # scipy.signal takes half a second
+
     size, reach = np.abs(values), max(2, round(0.03 * joint.rate))
-    (at,) = argrelmin(size, order=2 * reach)
+    inner = size[1:-1]
+    least_near = minimum_filter1d(size, 4 * reach + 1)[1:-1]
+    strict = (inner == least_near) & (inner < size[:-2]) & (inner < size[2:])
+    at = 1 + np.flatnonzero(strict)
     at = at[joint.moving[at] & (size[at] < np.median(np.abs(np.diff(values))))]
     least, near, far = (
         np.sum(size.take([at - k, at + k], mode="clip")) for k in (0, reach, 2 * reach)

@@ -9,9 +9,8 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import pedestal_wrench
-from testbed.core.parameters.symbols import barycentric
+from testbed.core.parameters.symbols import barycentric, standard, to_barycentric
 from testbed.core.robot.tree import Tree
-from testbed.importing.check.body_prior import body_prior
 
 MASS, REACH, LIGHT = 0.4, 0.03, 0.1
 """Relative sigma of masses, sigma of centres of mass [m]; and part of the robot's mass that a body
@@ -35,8 +34,19 @@ class ScaledPrior:
 
     @cached_property
     def root(self) -> Array:
-        """Root of their covariance, (10 n, 10 n)."""
-        return body_prior(self.tree).barycentric.reshape(10 * self.tree.n, -1)
+        """Root of their covariance, (10 n, 10 n): masses within a half, centres within some cm."""
+        own = standard(self.tree)
+        file, moments, tensor = own[:, :1], own[:, 1:4], own[:, 4:]
+        mass = np.maximum(file, LIGHT * file.sum())
+        centre = np.linalg.norm(moments, axis=1, keepdims=True) / np.where(
+            file > 0, file, 1.0
+        )
+        reach = REACH + MASS * centre
+        lever = np.repeat(mass * reach, 3, axis=1)
+        sigma = np.hstack([MASS * mass, lever, MASS * np.abs(tensor) + mass * reach**2])
+        sigma[: self.tree.massless] = 0.0
+        spread = np.diag(sigma.ravel()).reshape(self.tree.n, 10, -1)
+        return to_barycentric(self.tree, spread).reshape(sigma.size, -1)
 
     @property
     def weight(self) -> float:
