@@ -286,9 +286,8 @@ def gravity_words(reading: LogReading) -> str:
     names = [name for name, axis in AXES.items() if direction @ axis > NEAR]
     name = f", as of a robot on a {names[0]}" if names and names[0] != "level" else ""
     along = ", ".join(f"{each:.3f}" for each in direction)
-    sigma = (
-        f" +- {np.rad2deg(reading.sigma.max()):.2f} deg" if reading.sigma.size else ""
-    )
+    degrees = np.rad2deg(reading.sigma.max(initial=0.0))
+    sigma = f" +- {degrees:.2f} deg" if 0 < degrees < VAGUE else ""
     return f"along ({along}){sigma} in the base's frame{name}"
 
 

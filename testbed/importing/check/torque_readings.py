@@ -66,11 +66,6 @@ class LogReading:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     odds: float = 0.0
 
-    @property
-    def hypothesis(self) -> Hypothesis | None:
-        """The first hypothesis; None for the log as given."""
-        return self.hypotheses[0] if self.hypotheses else None
-
     @cached_property
     def residual(self) -> Array:
         """Residual torques, zero where none count, (C, T)."""
