@@ -90,13 +90,15 @@ def _held_against(
     zero[[0, -1]] = 0  # no data tell
     same = not (np.abs(zero) > 1e-3).any() and np.ptp(rest, axis=0).max() < 1e-4
     same = same and bool(np.allclose(other.measured("torque"), one.measured("torque")))
-    text = " ".join(sentences(d for d in found.diagnostics if (d.level == "info") != bool(lines)))
+    said = (d for d in found.diagnostics
+            if d.code == "recording.ambiguous" or (d.level == "info") != bool(lines))  # fmt: skip
+    text = " ".join(sentences(said))
     told_open = any(word in text for word in OPEN)
     result = "right" if same else "open" if told_open else "wrong" if lines else "no word"
     return {
         "tx40": words, "result": result, "certain": bool(found.certain),
         "said": [each.kind + " " + ", ".join(each.joints) for each in found.remedies],
-        "undecided": [d.text for d in found.diagnostics if d.level == "info"],
+        "undecided": [d.text for d in found.diagnostics if d.level != "error"],
     }  # fmt: skip
 
 

@@ -147,13 +147,8 @@ class TorqueCase:
         Args:
             gravity: (3,) [m/s^2], where it is not open.
         """
-        return self._products(self.signals, gravity)
-
-    def _products(
-        self, signals: TorqueSignals, gravity: Array | None
-    ) -> TorqueProducts:
         return torque_products(
-            self.tree, signals, self.prior, self.size, gravity, self.sprung
+            self.tree, self.signals, self.prior, self.size, gravity, self.sprung
         )
 
     @cached_property
@@ -252,9 +247,9 @@ class TorqueCase:
             count: Instants by which it is judged; all by default.
         """
         signals = self.signals.thinned(count) if count else self.signals
-        signals = signals.corrected(*hypotheses)
-        products = self._products(signals, self.gravity)
-        estimate = self.fit(products, self.gravity)
+        case = replace(self, signals=signals.corrected(*hypotheses))
+        products = case.products_under(self.gravity)
+        estimate = case.fit(products, self.gravity)
         log = estimate.log + odds
         return LogReading(
             hypotheses, log, estimate, products, self.gravity, kind=kind, odds=odds

@@ -233,7 +233,8 @@ def _refined(case: TorqueCase, readings: Sequence[LogReading]) -> list[LogReadin
     others.sort(key=lambda each: -each.log)
     refined = [case.as_given]
     for each in others[:KEPT]:
-        if each.kind == "torque order":  # with its own friction by the load
+        if any(h.kind == "torque_order" for h in each.hypotheses):
+            # with noise and friction of the columns as they then are
             refined.append(case.corrected(each.hypotheses, each.odds, each.kind))
         else:
             refined.append(case.again(each))
