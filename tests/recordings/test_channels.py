@@ -18,7 +18,7 @@ from testbed.core.estimation.identify import identify
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.channels import channel_faults
 from testbed.core.recordings.metadata import Metadata
-from testbed.importing.check.check import assess
+from testbed.importing.check.assessment import assess
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.strategies import few, seeds, trees
