@@ -27,7 +27,7 @@ from testbed.importing.mapping import SignalTable
 from testbed.importing.signal_maps import EFFORTS, joint_signal
 from tests.helpers.paths import ROOT
 
-OPEN = ("equally explained", "do not decide", "not tell apart", *MARKS)
+OPEN = ("equally explained", "do not decide", "not distinguish", *MARKS)
 """What is said of explanations that are equal."""
 
 QUARTERS = (np.pi / 2, np.pi, -np.pi / 2)

@@ -106,8 +106,8 @@ def _solution(
             return MappingSolution(guessed(files, written.parent))
         draft, file, tree = draft_mapping(files, written.parent, reading.file)
         if reading.gravity is not None:
-            told = in_words(reading.gravity)
-            draft = draft.saying("", "gravity", told, "by --gravity")
+            stated = in_words(reading.gravity)
+            draft = draft.saying("", "gravity", stated, "by --gravity")
     with output.Progress("solving the mapping, hypotheses") as bar:
         solution = solve_mapping(draft, written, tree, bar)
     lock = solution.draft.tables.get("lock", {})

@@ -297,7 +297,7 @@ def _doubtful(torques: TorqueAssessment) -> list[int]:
 
 
 def _likelier(other: TorqueAssessment, torques: TorqueAssessment) -> float:
-    """Nats by which torques as given by other positions are likelier than cured ones."""
+    """Nats by which torques as given by other positions are likelier than corrected ones."""
     if other.verdict is None or other.verdict.outcome != "as given":
         return -np.inf
     assert torques.verdict is not None

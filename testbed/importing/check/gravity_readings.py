@@ -40,7 +40,7 @@ STEPS, LARGEST = 12, {"direction": 0.6, "size": 3.0}
 
 WIDE = 1.6
 """Times the variance of a direction, by its coverage over 290 simulated logs of twelve robots: what
-models leave lasts longer than residuals tell."""
+models leave lasts longer than residuals show."""
 
 
 def tangents(direction: Array) -> Array:
@@ -258,9 +258,9 @@ def with_dispersion(case: TorqueCase, reading: LogReading) -> LogReading:
         moved, reduced = _without(case, reading, across, int(channel))
         own = np.linalg.inv(reduced) - covariance
         values, axes = np.linalg.eigh(own)
-        tells = values > 0.05 * np.trace(covariance) / 2
-        square += float((((axes.T @ moved) ** 2)[tells] / values[tells]).sum())
-        degrees += int(tells.sum())
+        shows = values > 0.05 * np.trace(covariance) / 2
+        square += float((((axes.T @ moved) ** 2)[shows] / values[shows]).sum())
+        degrees += int(shows.sum())
     wide = WIDE * max(1.0, square / max(degrees, 1))
     return _with_sigma(
         reading, reading.sigma * np.sqrt(wide), reading.covariance * wide

@@ -35,7 +35,7 @@ def position_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRe
 
     Args:
         case: The log.
-        joints: Indices of those with torques that tell something.
+        joints: Indices of those with torques that count.
     """
     readings = [
         case.corrected(hypotheses, odds, kind, SCREENED)

@@ -24,7 +24,7 @@ def spring_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRead
 
     Args:
         case: The log.
-        joints: Indices of those with torques that tell something.
+        joints: Indices of those with torques that count.
     """
     promise = _promise(case)
     for joint in joints:

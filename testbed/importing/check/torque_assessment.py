@@ -32,7 +32,11 @@ from testbed.importing.check.torque_columns import contradictory
 from testbed.importing.check.torque_products import SCALED
 from testbed.importing.check.torque_readings import LogReading, TorqueCase
 from testbed.importing.check.torque_signals import torque_signals
-from testbed.importing.check.torque_verdict import TorqueVerdict, cured, explain
+from testbed.importing.check.torque_verdict import (
+    TorqueVerdict,
+    explain,
+    without_mistake,
+)
 from testbed.importing.import_report import in_mapping
 
 LARGE = 2.5
@@ -83,7 +87,7 @@ def assess_torques(
     """What a log's torques say of its mapping and of gravity.
 
     Args:
-        tree: The robot, under the gravity that the log is told.
+        tree: The robot, under the gravity that the log states.
         recording: In the order of its joints.
         faults: Of its channels; their samples do not count.
         prior: Of its bodies by a force plate, beside which positions and gravity are known.
@@ -119,12 +123,12 @@ def _sized_verdict(case: TorqueCase) -> tuple[Array, TorqueVerdict, bool]:
     known = np.isfinite(sizes) & case.live
     middle = float(np.median(sizes[known])) if known.any() else 1.0
     if given.outcome == "as given" or 1 / LARGE < middle < LARGE:
-        return _cured_sizes(case, given), given, False
+        return _corrected_sizes(case, given), given, False
     sizes = np.where(known, sizes, middle)
     apart = np.abs(np.log(sizes / middle)).max()
     if apart < np.log(LARGE) and not case.fixed:  # a unit that is common to all
         sizes = np.full(len(sizes), middle)
-    sized = explain(cured(case, _resized(case, sizes)))
+    sized = explain(without_mistake(case, _resized(case, sizes)))
     counted = sized.case.signals.counted.sum(axis=0) / sized.case.inflation
     density = (counted * np.log(sizes))[case.live].sum()  # of torques of another size
     best = max((each.log for each in given.ranked), default=-np.inf)
@@ -132,8 +136,8 @@ def _sized_verdict(case: TorqueCase) -> tuple[Array, TorqueVerdict, bool]:
     if sized.outcome in ("as given", "explained") and (
         likelier or given.outcome == "not explained"
     ):
-        return sizes * _cured_sizes(case, sized), sized, True
-    return _cured_sizes(case, given), given, False
+        return sizes * _corrected_sizes(case, sized), sized, True
+    return _corrected_sizes(case, given), given, False
 
 
 def body_sizes(case: TorqueCase) -> Array:
@@ -176,14 +180,14 @@ def _resized(case: TorqueCase, sizes: Array) -> LogReading:
     return replace(case.as_given, hypotheses=(hypothesis,), kind="torque sizes")
 
 
-def _cured_sizes(case: TorqueCase, verdict: TorqueVerdict) -> Array:
-    """Times what the model file's bodies make that cured torques are, (n,)."""
+def _corrected_sizes(case: TorqueCase, verdict: TorqueVerdict) -> Array:
+    """Times what the model file's bodies make that corrected torques are, (n,)."""
     for each in verdict.readings:
         if each.kind == "torque sizes":
             return np.array(each.hypotheses[0].values)
     last = verdict.case
     for each in verdict.readings:
-        last = cured(last, each)
+        last = without_mistake(last, each)
     return body_sizes(last)
 
 
@@ -205,7 +209,7 @@ def _diagnostics(
     assert verdict is not None
     if verdict.outcome == "explained":
         yield from _explained(case, assessment, verdict, resized=resized)
-    elif verdict.outcome == "not told apart":
+    elif verdict.outcome == "not distinguished":
         readings = [_words(case, each) for each in verdict.equals]
         yield diagnose(
             "recording.ambiguous",

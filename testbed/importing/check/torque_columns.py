@@ -37,7 +37,7 @@ def column_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRead
 
     Args:
         case: The log.
-        joints: Indices of those with torques that tell something.
+        joints: Indices of those with torques that count.
     """
     torque = case.signals.torque.T
     every = tuple(range(case.tree.n))
@@ -116,8 +116,8 @@ def size_reading(case: TorqueCase) -> LogReading:
     volume = np.linalg.slogdet(np.eye(n) + FACTOR**2 * information)[1]
     odds = float(SIZES - 0.5 * (logs[case.live] @ logs[case.live] / FACTOR**2 + volume))
     known = (spread < max(KNOWN * spread[case.live].min(), SHARP)) & case.live
-    told = np.where(known, logs, logs[known].mean())
-    sizes = Hypothesis("torque_size", tuple(range(n)), tuple(np.exp(told).tolist()))
+    stated = np.where(known, logs, logs[known].mean())
+    sizes = Hypothesis("torque_size", tuple(range(n)), tuple(np.exp(stated).tolist()))
     return replace(
         case.as_given,
         hypotheses=(sizes,),

@@ -94,7 +94,7 @@ class TorqueCase:
         tree: The robot.
         signals: Of the log.
         prior: Of the robot's bodies.
-        gravity: As the log is told, (3,) [m/s^2].
+        gravity: As the log states, (3,) [m/s^2].
         inflation: Instants of each channel that count as one, (C,).
         fixed: Whether positions and gravity are known, as by a force plate.
         sprung: Indices of joints with a torque in proportion to their position.
@@ -110,7 +110,7 @@ class TorqueCase:
 
     @cached_property
     def live(self) -> Array:
-        """Channels that tell something, (C,) of bool."""
+        """Channels that count, (C,) of bool."""
         return np.asarray(self.signals.counted.sum(axis=0) > 10)
 
     @cached_property

@@ -25,7 +25,7 @@ DRY, STRIBECK = 0.03, 0.15
 friction falls."""
 
 CONSTANT = 0.5
-"""Part of the samples at one value from which a channel tells nothing."""
+"""Part of the samples at one value from which a channel shows nothing."""
 
 
 @dataclass(frozen=True, eq=False)

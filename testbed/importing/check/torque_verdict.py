@@ -87,7 +87,7 @@ DIRECTIONS = (
 TERMINAL = ("no gravity", "part of gravity", "by file")
 """Families after which no second mistake is looked for."""
 
-Outcome = Literal["as given", "explained", "not told apart", "not explained"]
+Outcome = Literal["as given", "explained", "not distinguished", "not explained"]
 
 
 class Rejected(NamedTuple):
@@ -137,17 +137,17 @@ def explain(case: TorqueCase, steps: int = STEPS) -> TorqueVerdict:
         return verdict
     if verdict.outcome == "explained":
         return _continued(verdict, steps)
-    if verdict.outcome == "not told apart" or not verdict.attempts:
+    if verdict.outcome == "not distinguished" or not verdict.attempts:
         return verdict
     return _first_of_two(verdict)
 
 
 def _continued(verdict: TorqueVerdict, steps: int) -> TorqueVerdict:
-    """A verdict whose cure was tried on the log, and what is wrong besides."""
+    """A verdict whose correction was tried on the log, and what is wrong besides."""
     (reading,) = verdict.readings
     if reading.kind in TERMINAL:
         return verdict
-    rest = explain(cured(verdict.case, reading), steps - 1)
+    rest = explain(without_mistake(verdict.case, reading), steps - 1)
     again = reading.kind in [each.kind for each in rest.readings]
     again = again and reading.kind not in (*DIRECTIONS, "spring")
     if rest.outcome == "not explained" or again:
@@ -170,7 +170,7 @@ def _first_of_two(verdict: TorqueVerdict) -> TorqueVerdict:
             candidates.append(each)
     pairs = []
     for each in candidates[:TRIED]:
-        then = judge(cured(case, each))
+        then = judge(without_mistake(case, each))
         if then.outcome == "explained":
             log = then.readings[0].log - (each.evidence.log - each.log)
             pairs.append((log, each, then.readings[0]))
@@ -182,12 +182,15 @@ def _first_of_two(verdict: TorqueVerdict) -> TorqueVerdict:
         if pairs[0][0] - pairs[1][0] < MARGIN and kinds[0] != kinds[1]:
             return verdict
     _, first, second = pairs[0]
-    if judge(cured(cured(case, first), second)).outcome != "as given":
+    if (
+        judge(without_mistake(without_mistake(case, first), second)).outcome
+        != "as given"
+    ):
         return verdict
     return replace(verdict, outcome="explained", readings=(first, second), attempts=())
 
 
-def cured(case: TorqueCase, reading: LogReading) -> TorqueCase:
+def without_mistake(case: TorqueCase, reading: LogReading) -> TorqueCase:
     """The log without what a reading says is wrong.
 
     Args:
@@ -284,7 +287,7 @@ def _gate(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
     alike = [each for each in equals if _alike(best, each)]
     if len(alike) < len(equals) or best.log - first.log < MARGIN:
         said = (best, *equals)
-        return replace(verdict, outcome="not told apart", equals=said)
+        return replace(verdict, outcome="not distinguished", equals=said)
     return replace(
         verdict,
         outcome="explained",
@@ -295,7 +298,7 @@ def _gate(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
 
 
 def _alike(one: LogReading, other: LogReading) -> bool:
-    """Whether data cannot tell two readings apart, whatever the motion."""
+    """Whether data cannot distinguish two readings, whatever the motion."""
     return abs((one.log - one.odds) - (other.log - other.odds)) < ALIKE
 
 
