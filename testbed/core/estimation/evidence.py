@@ -45,7 +45,7 @@ class ChannelProducts:
     count: Array
 
     def scaled(self, factors: Array, mean: Array) -> ChannelProducts:
-        """Products where the shared columns of each channel are so many times as large.
+        """Products with each channel's shared columns multiplied by its scale factor.
 
         Args:
             factors: (C,).
@@ -68,7 +68,7 @@ class ChannelProducts:
         )
 
     def times(self, values: Array) -> Array:
-        """Products of all columns and the signals that coefficients make, (C, P + m).
+        """Products of all columns with the predicted signal of coefficients, (C, P + m).
 
         Args:
             values: Coefficients of each channel, (C, P + m).
@@ -87,7 +87,7 @@ class ChannelProducts:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Evidence of a model, and the posterior of its coefficients.
+    """Log marginal likelihood of a linear-Gaussian model, and its posterior coefficients.
 
     Attributes:
         log: Logarithm of the marginal likelihood [nats].
@@ -118,7 +118,7 @@ class Evidence:
         return np.concatenate([shared, self.local], axis=1)
 
     def marginal(self, cross: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
-        """Gradient, (E,), and information, (E, E), of further coefficients.
+        """Gradient, (E,), and Fisher information, (E, E), of additional coefficients.
 
         All coefficients of the model are integrated out.
 
@@ -145,7 +145,7 @@ def evidence(
     variance: Array | None = None,
     rounds: int = 6,
 ) -> Evidence:
-    """Evidence of a model, the variances of its channels being found.
+    """Evidence of a linear-Gaussian model; estimate its channels' noise variances.
 
     Args:
         products: Of columns and measurements.
@@ -176,7 +176,7 @@ def evidence(
 def _posterior(
     products: ChannelProducts, variance: Array, inflation: Array
 ) -> Evidence:
-    """Posterior of the coefficients by known variances; local ones are eliminated first."""
+    """Posterior coefficients for given noise variances, local coefficients eliminated."""
     size = products.shared.shape[1]
     weight = 1 / (inflation * variance)
     moment = weight[:, None] * products.moment
@@ -211,7 +211,7 @@ def _posterior(
 
 
 def _spread(products: ChannelProducts, estimate: Evidence) -> Array:
-    """Sums of squares by which the posterior covariance moves predictions, (C,)."""
+    """Traces of the Gram matrices times the posterior covariance, (C,)."""
     identity = np.eye(len(estimate.shared))
     # posterior covariance of the shared coefficients
     shared = cho_solve((estimate.factor, True), identity, check_finite=False)

@@ -299,9 +299,8 @@ def with_gravity_torques(recording: Recording, tree: Tree) -> Recording:
         tree: The robot as the driver knows it.
     """
     part = recording.ordered(tree)
-    still = np.zeros_like(part.position)
-    motion = Motion(part.time, part.position, still, still)
-    weight = joint_forces(tree, motion, part.metadata.gravity)
+    rest = Motion.at_rest(part.position)
+    weight = joint_forces(tree, rest, part.metadata.gravity)
     mapping = dict(part.metadata.mapping or {})
     mapping["torque"] = {k: v for k, v in mapping["torque"].items() if k != "gravity"}
     return replace(

@@ -77,7 +77,7 @@ MOST_SAMPLES = 200_000
 
 @dataclass(frozen=True, eq=False)
 class Assessment(Diagnosed):
-    """What supports or contradicts a recording.
+    """Result of the check of a recording against its robot.
 
     Attributes:
         diagnostics: What is certainly wrong, an error each; what may be; what is left open.
@@ -142,7 +142,7 @@ class Assessment(Diagnosed):
 
 @one_blas_thread()  # matrices are small: more threads would only wait for each other
 def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Assessment:
-    """What supports or contradicts a recording.
+    """Check a recording against its robot, by plate and torques.
 
     Args:
         tree: The robot, its masses right within a factor of a few; not used for estimates.
@@ -161,7 +161,7 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
     beyond = tuple(out_of_range(tree, part.position))
     faults = channel_faults(part)
     if part.wrench is None:
-        return with_faults(_judge_torques(tree, part, beyond, faults), faults)
+        return _with_faults(_judge_torques(tree, part, beyond, faults), faults)
     assessment = _judge(tree, part, beyond, CUTOFF, progress, faults)
     best = assessment.best
     if best is not None and not best.plate.explained():
@@ -170,16 +170,13 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
         if slow.best is not None and slow.best.plate.cost < best.plate.cost - APART:
             assessment = slow
     named = of_instrument(assessment.diagnostics, sensor_of(tree))
-    return with_faults(replace(assessment, diagnostics=named), faults)
+    return _with_faults(replace(assessment, diagnostics=named), faults)
 
 
-def with_faults(assessment: Assessment, faults: tuple[ChannelFault, ...]) -> Assessment:
-    """An assessment that begins with the faults of single channels.
-
-    Args:
-        assessment: Of the recording.
-        faults: Of its channels.
-    """
+def _with_faults(
+    assessment: Assessment, faults: tuple[ChannelFault, ...]
+) -> Assessment:
+    """An assessment whose diagnostics begin with faults of single channels."""
     named = (*(each.diagnostic for each in faults), *assessment.diagnostics)
     return replace(assessment, diagnostics=named, faults=faults)
 
@@ -253,7 +250,7 @@ def _judge_torques(
     beyond: Sequence[Diagnostic],
     faults: Sequence[ChannelFault],
 ) -> Assessment:
-    """What a recording of torques alone says."""
+    """Assessment of a recording without a plate."""
     instants = sample(part)
     if instants is None:
         return Assessment(tuple(beyond))
@@ -262,9 +259,8 @@ def _judge_torques(
         return Assessment((*beyond, *rest))
     torques = assess_torques(tree, part, faults)
     still = list(still_joints(tree, instants, torques.unexplained))
-    clear = any(each.lines for each in torques.remedies)
-    said = [*([] if clear else beyond), *torques.diagnostics]
-    if any(each.value for each in still) and not clear:
+    said = [*([] if torques.remedies else beyond), *torques.diagnostics]
+    if any(each.value for each in still) and not torques.remedies:
         said, still = [*still, *beyond], []
     return Assessment(
         (*said, *still), torques.sizes, torques.remedies, verdict=torques.verdict
@@ -274,7 +270,7 @@ def _judge_torques(
 def _beside_plate(
     tree: Tree, part: Recording, best: Explanation, faults: Sequence[ChannelFault]
 ) -> TorqueAssessment:
-    """What torques say beside a plate, by which positions and bodies are known."""
+    """Assessment of torques with positions and bodies from the plate."""
     if part.torque is None:
         return TorqueAssessment()
     offset = position_offset(tree, part.metadata.mapping or {})
@@ -287,7 +283,7 @@ def _beside_plate(
 
 
 def _doubtful(torques: TorqueAssessment) -> list[int]:
-    """Joints whose position may be wrong instead of their torque."""
+    """Indices of joints whose position may be reversed instead of the torque."""
     verdict = torques.verdict
     if verdict is None or verdict.outcome == "as given":
         return []
@@ -297,7 +293,7 @@ def _doubtful(torques: TorqueAssessment) -> list[int]:
 
 
 def _likelier(other: TorqueAssessment, torques: TorqueAssessment) -> float:
-    """Nats by which torques as given by other positions are likelier than corrected ones."""
+    """Log evidence of torques with other positions over corrected torques [nats]."""
     if other.verdict is None or other.verdict.outcome != "as given":
         return -np.inf
     assert torques.verdict is not None

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.parameters.symbols import (
     STANDARD_ORDER,
+    UPPER,
     point_mass,
+    standard,
     to_barycentric,
 )
-from testbed.core.robot.inertia import Inertia
+from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.tree import Tree
 
 MASS, CENTRE, REACH, INERTIA = 0.3, 0.02, 0.2, 0.3
@@ -67,13 +69,13 @@ def body_prior(tree: Tree) -> BodyPrior:
         tree: The robot; without masses, one of unit masses is as likely as any.
     """
     n, total = tree.n, sum(each.mass for each in tree.inertias)
-    values = np.zeros((n, 10))
+    bodies = [NOTHING] * n
     root = np.zeros((n, 10, n, 10))
     for k, inertia in enumerate(tree.inertias):
         body = _measured(inertia if total else Inertia(1.0, np.zeros(3), np.eye(3)))
         least = (LIGHT if tree.children(k) else TOOL) * (total or n)
         heavy = max(body.mass, least)
-        values[k] = standard_of(body) * (k >= tree.massless)
+        bodies[k] = NOTHING if k < tree.massless else body
         # links between the coordinates of a free base have no matter, whatever the data say
         root[k, :, k] = (
             NONE * np.eye(10) if k < tree.massless else _body_root(body, heavy)
@@ -81,21 +83,15 @@ def body_prior(tree: Tree) -> BodyPrior:
     flat = root.reshape(10 * n, 10 * n)
     mean = np.zeros(10 * n)
     if total:
-        mean = np.asarray(np.linalg.solve(flat, values.ravel()))
+        values = standard(replace(tree, inertias=tuple(bodies))).ravel()
+        mean = np.asarray(np.linalg.solve(flat, values))
     flat = flat if total else UNKNOWN * flat
     barycentric = to_barycentric(tree, flat.reshape(n, 10, 10 * n))
     return BodyPrior(mean, flat, barycentric)
 
 
-def standard_of(body: Inertia) -> Array:
-    """Standard parameters of one body, (10,)."""
-    upper = body.tensor[np.triu_indices(3)]
-    parts = np.concatenate([[body.mass], body.first_moment, upper])
-    return parts[list(STANDARD_ORDER)]
-
-
 def _measured(body: Inertia) -> Inertia:
-    """The same with an inertia of its size where its own is a placeholder."""
+    """Body with a placeholder inertia replaced by one of its size."""
     mass = max(body.mass, 1e-6)
     if np.trace(body.central) / 2 <= mass * WIDEST**2:
         return (
@@ -105,7 +101,7 @@ def _measured(body: Inertia) -> Inertia:
 
 
 def _size(body: Inertia) -> float:
-    """Length of a body, about [m]."""
+    """Approximate length of a body [m]."""
     return 0.05 + 0.5 * float(np.linalg.norm(body.com))
 
 
@@ -118,7 +114,7 @@ def _body_root(body: Inertia, heavy: float) -> Array:
     root = np.zeros((10, 10))
     if body.mass > 0.1 * heavy:
         root[:, 0] = point_mass(centre)
-        root[4:, 0] += body.central[np.triu_indices(3)] / body.mass
+        root[4:, 0] += body.central[UPPER] / body.mass
     else:
         root[:4, 0] = 1.0, *centre
     for k, axis in enumerate(np.eye(3)):
@@ -133,7 +129,7 @@ def _body_root(body: Inertia, heavy: float) -> Array:
 
 
 def plate_prior(tree: Tree, mean: Array, root: Array) -> BodyPrior:
-    """Prior of a robot's bodies by what a force plate has shown of them.
+    """Prior of a robot's bodies from a force plate's posterior.
 
     Args:
         tree: The robot.

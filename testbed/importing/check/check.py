@@ -26,16 +26,14 @@ from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.tree import Tree
-from testbed.importing.check.assessment import Assessment, assess
+from testbed.importing.check.assessment import MOST_SAMPLES, Assessment, assess
 from testbed.importing.check.instants import middle
 from testbed.importing.check.recording_diagnostics import (
     clocked,
     encoder_steps,
     unknown_gains,
 )
-from testbed.importing.check.remedies import (
-    with_lines,
-)
+from testbed.importing.check.remedies import with_lines
 from testbed.importing.check.search import Progress
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
 from testbed.importing.convert import pieces
@@ -47,9 +45,6 @@ RESTS = 5e-3
 
 METHOD = 4
 """Of the check; another number and what was kept counts no more."""
-
-MOST_SAMPLES = 200_000
-"""Samples that are looked at, from the recording's middle."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +112,7 @@ def check_recording(
     known = prepared or Prepared((), [])
     if unchecked:
         doubts.append(diagnose("recording.unchecked"))
+        faults = channel_faults(source)
     else:
         verdict = source.metadata.verdict
         if verdict.get("of") == digest(tree, source):
@@ -124,11 +120,11 @@ def check_recording(
         assessment = known.assessment or assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
+        faults = assessment.faults
     offsets = known.offsets
     if any(each.code == "robot.rest" for each in doubts):
         offsets = ()  # without a motion there is no delay
     if offsets is None:
-        faults = channel_faults(source)
         offsets = time_offsets(tree, source, clocked(source, faults))
     for each in offsets:
         if each.matters:

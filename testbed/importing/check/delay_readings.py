@@ -29,7 +29,7 @@ SHORTEST = 20.0
 
 
 class Delay(NamedTuple):
-    """A delay common to all joints, and its standard deviation [s]."""
+    """Common delay of all joints and its standard deviation [s]."""
 
     value: float
     sigma: float
@@ -37,7 +37,7 @@ class Delay(NamedTuple):
 
 
 def delay_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """The likeliest delay and the likeliest low-pass of all torques.
+    """Yield the likeliest delay and the likeliest first-order lag of all torques.
 
     Args:
         case: The log.
@@ -50,13 +50,11 @@ def delay_readings(case: TorqueCase) -> Iterator[LogReading]:
             estimate = case.fit(
                 case.products, case.gravity, measured, first.evidence.variance
             )
-            log = estimate.log + ODDS[kind]
-            if best is None or log > best.log:
+            if best is None or estimate.log > best.evidence.log:
                 late = Hypothesis("delay", (), (float(value),))
                 best = replace(
                     first,
                     hypotheses=(late,),
-                    log=log,
                     evidence=estimate,
                     measured=measured,
                     kind=kind,
@@ -73,7 +71,7 @@ def _torques(case: TorqueCase, kind: str, value: float) -> Array:
 
 
 def common_delay(case: TorqueCase, reading: LogReading) -> Delay:
-    """The delay that joints have in common, with what they differ by as its sigma.
+    """Random-effects mean of the joints' delays [s].
 
     Each joint is asked in both halves of the log: errors of models look like delays, too (1.5 % of
     a speed of 1 rad/s like 15 ms), but not like the same everywhere.
@@ -105,7 +103,7 @@ def common_delay(case: TorqueCase, reading: LogReading) -> Delay:
 
 
 def _random_effects(value: Array, sigma: Array, asked: int) -> Delay:
-    """Mean of delays that differ by more than their sigmas [DL86]."""
+    """Random-effects mean and its standard deviation [DL86]."""
     if len(value) < 2:
         return Delay(0.0, np.inf, agree=False)
     weight = 1 / sigma**2
@@ -120,7 +118,7 @@ def _random_effects(value: Array, sigma: Array, asked: int) -> Delay:
 
 
 def _peak(at: Array, log: Array) -> tuple[float, float]:
-    """Maximum of a curve through values, and the sigma by its curvature."""
+    """Parabolic maximum of a log likelihood, and sigma by its curvature."""
     k = int(np.clip(np.argmax(log), 1, len(at) - 2))
     near = slice(k - 1, k + 2)
     curve, slope, _ = np.polyfit(at[near] - at[k], log[near], 2)

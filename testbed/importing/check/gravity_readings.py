@@ -44,12 +44,12 @@ models leave lasts longer than residuals show."""
 
 
 def tangents(direction: Array) -> Array:
-    """Two unit vectors across a unit vector, (3, 2)."""
+    """Orthonormal tangent vectors of the unit sphere at a direction, (3, 2)."""
     return np.asarray(np.linalg.svd(direction[None])[2][1:].T)
 
 
 def gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Readings with gravity in another direction, or of another size.
+    """Yield readings with another direction or magnitude of gravity.
 
     Args:
         case: The log.
@@ -75,7 +75,7 @@ def gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def _on_axes(case: TorqueCase) -> Iterator[LogReading]:
-    """Readings of a robot of many joints: gravity along each axis of the base, or none."""
+    """Yield readings with gravity along each base axis, and without gravity."""
     directions = {"no gravity": np.zeros(3)} | AXES
     for kind, direction in directions.items():
         gravity = direction * case.standard
@@ -88,7 +88,7 @@ def _on_axes(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def _starts(case: TorqueCase, none: Evidence) -> Iterator[Array]:
-    """Where the search of a direction begins: as given, one linear step, two axes."""
+    """Yield starts of the direction search: stated, linear solution, two axes."""
     products = case.products
     yield case.gravity if case.gravity.any() else case.standard * AXES["level"]
     zero = np.zeros(3)
@@ -113,7 +113,7 @@ def _ridge(information: Array) -> Array:
 def _search(
     case: TorqueCase, gravity: Array, free: str
 ) -> tuple[Array, Evidence, Array]:
-    """The likeliest gravity of its size, or along its direction, from a start.
+    """Maximise the evidence over gravity's direction or magnitude.
 
     Args:
         case: The log.
@@ -150,7 +150,7 @@ def _search(
 def _line_search(
     case: TorqueCase, gravity: Array, estimate: Evidence, step: Array, free: str
 ) -> tuple[Array, Evidence]:
-    """The first of ever shorter steps that is no worse."""
+    """Backtracking line search along a step of gravity."""
     length = np.linalg.norm(gravity)
     for scale in (1.0, 1 / 3, 1 / 9, 1 / 27):
         moved = gravity + scale * step
@@ -168,7 +168,6 @@ def _reading(
     value = tuple(np.round(gravity, 4).tolist())
     return LogReading(
         (Hypothesis("gravity", (), value),),
-        estimate.log + odds,
         estimate,
         case.products,
         gravity,
@@ -180,7 +179,7 @@ def _reading(
 def _direction(
     case: TorqueCase, gravity: Array, estimate: Evidence, information: Array
 ) -> LogReading:
-    """A direction with the likeliest prior: any, near an axis, or near what was given."""
+    """Reading of a direction, classified by its likeliest prior."""
     size = case.standard
     direction = gravity / size
     across = tangents(direction)
@@ -201,26 +200,22 @@ def _direction(
     kind = max(odds, key=lambda name: odds[name])
     reading = _reading(case, gravity, estimate, kind, odds[kind] + volume)
     sigma = np.sqrt(np.linalg.eigvalsh(covariance))
-    return _with_sigma(reading, sigma, across @ covariance @ across.T)
-
-
-def _with_sigma(reading: LogReading, sigma: Array, covariance: Array) -> LogReading:
-    return replace(reading, sigma=sigma, covariance=covariance)
+    return replace(reading, sigma=sigma)
 
 
 def _partly(case: TorqueCase) -> Iterator[LogReading]:
-    """Gravity of which a part is in the torques."""
+    """Yield the reading with gravity partly compensated."""
     gravity, estimate, information = _search(case, 0.5 * case.gravity, "size")
     part = float(gravity @ case.gravity) / case.standard**2
     sigma = 1 / np.sqrt(max(float(case.gravity @ information @ case.gravity), 1e-12))
     if -0.1 < part < 0.9 and sigma < 0.2:
         odds = IN_PART + float(np.log(2.5 * sigma))
         reading = _reading(case, gravity, estimate, "part of gravity", odds)
-        yield _with_sigma(reading, np.array([sigma]), np.zeros((0, 0)))
+        yield replace(reading, sigma=np.array([sigma]))
 
 
 def on_axis(reading: LogReading) -> LogReading:
-    """The same with gravity along an axis of the base that the log does not refute.
+    """Reading with gravity rounded to a base axis within its uncertainty.
 
     Args:
         reading: Of gravity's direction, and its sigma.
@@ -239,7 +234,7 @@ def on_axis(reading: LogReading) -> LogReading:
 
 
 def with_dispersion(case: TorqueCase, reading: LogReading) -> LogReading:
-    """A reading of a direction whose sigma counts what the joints contradict each other.
+    """Reading with sigma widened by the dispersion between joints.
 
     The direction without each joint is compared with the one by all.
 
@@ -262,15 +257,13 @@ def with_dispersion(case: TorqueCase, reading: LogReading) -> LogReading:
         square += float((((axes.T @ moved) ** 2)[shows] / values[shows]).sum())
         degrees += int(shows.sum())
     wide = WIDE * max(1.0, square / max(degrees, 1))
-    return _with_sigma(
-        reading, reading.sigma * np.sqrt(wide), reading.covariance * wide
-    )
+    return replace(reading, sigma=reading.sigma * np.sqrt(wide))
 
 
 def _without(
     case: TorqueCase, reading: LogReading, across: Array, channel: int
 ) -> tuple[Array, Array]:
-    """By how much gravity turns without one channel, (2,), and its information then, (2, 2)."""
+    """Jackknife shift of gravity without one channel, (2,), and its information, (2, 2)."""
     products, gravity = reading.products, reading.gravity
     for _ in range(3):
         inputs = products.products(gravity, reading.measured).without(channel)

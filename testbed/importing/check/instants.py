@@ -39,9 +39,6 @@ ENOUGH = 4
 DEPENDENT = 1e-7
 """Share of the largest singular value below which a direction of the rows is none."""
 
-MEDIAN = 0.4549
-"""Of the square of a normal number of variance one."""
-
 
 @dataclass(frozen=True, eq=False)
 class Instants:
@@ -49,19 +46,15 @@ class Instants:
 
     Attributes:
         motion: Of the joints.
-        torque: (T, n) [N m or N]; (T, 0) where it was not measured.
         wrench: (T, 6) [N, N m]; (T, 0) where it was not measured.
         wrench_rate: Its derivative, (T, 6) [N/s, N m/s], or (T, 0).
-        torque_noise: Variance of the noise that is left in the torques, (n,) or (0,).
-        wrench_noise: The same of the wrench, by the octave above, (6,) or (0,).
+        wrench_noise: Variance of the noise left in the wrench, by the octave above, (6,) or (0,).
         spacing: From one instant to the next [s].
     """
 
     motion: Motion
-    torque: Array
     wrench: Array
     wrench_rate: Array
-    torque_noise: Array
     wrench_noise: Array
     spacing: float
 
@@ -88,15 +81,11 @@ def sample(
     at = np.linspace(0, last, count).astype(int) + max(0, -later)
     spacing = last / rate / (count - 1)
     none = np.zeros((recording.samples, 0))
-    torque = none if recording.torque is None else recording.torque
     wrench = none if recording.wrench is None else recording.wrench
-    smoothing = float((taps[0] ** 2).sum())
     return Instants(
         motion_at(recording, taps, at, spacing),
-        torque=decimate(torque, taps[0], at),
         wrench=decimate(wrench, taps[0], at + later),
         wrench_rate=decimate(wrench, taps[1], at + later),
-        torque_noise=_white_noise(torque) * smoothing,
         wrench_noise=_noise_above(wrench, taps[0], motion_taps(rate, 2 * passed)[0]),
         spacing=spacing,
     )
@@ -187,15 +176,6 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     if best in (0, 2 * most) or times > LATE:
         return 0.0, 1.0
     return spacing * (best - most), times
-
-
-def _white_noise(signal: Array) -> Array:
-    """Variance of white noise, by the differences from sample to sample that motion does not make.
-
-    Args:
-        signal: (M, C).
-    """
-    return np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN)
 
 
 def _noise_above(signal: Array, low_pass: Array, wider: Array) -> Array:

@@ -450,7 +450,7 @@ def _list(values: Array, digits: int) -> str:
 
 
 def _too_short(tree: Tree, assessment: Assessment) -> Iterator[Diagnostic]:
-    """Whether another mapping may fit a recording as well."""
+    """Yield the diagnostic of a recording too short for its parameters."""
     parameters = minimal_set(tree, "reaction").count
     if assessment.best is not None:
         instants = assessment.best.fit.instants

@@ -31,7 +31,7 @@ BEST = 6
 
 
 def position_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
-    """The likeliest readings with other positions.
+    """Yield the likeliest readings with other joint positions.
 
     Args:
         case: The log.
@@ -49,7 +49,7 @@ def position_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRe
 def _hypotheses(
     case: TorqueCase, joints: Sequence[int]
 ) -> Iterator[tuple[tuple[Hypothesis, ...], float, str]]:
-    """Hypotheses about positions, the logarithm of their prior odds, and their family."""
+    """Yield position hypotheses, their log prior odds [nats], and their family."""
     tree, q = case.tree, case.signals.q
     turning = [k for k in own_joints(tree) if tree.joints[k].revolute]
     if turning and np.abs(q[:, turning]).max() > BEYOND:

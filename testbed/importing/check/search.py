@@ -117,7 +117,7 @@ class Search:
     def with_senses(
         self, best: Explanation, joints: Iterable[int]
     ) -> Iterator[Explanation]:
-        """Explanations of the plate as likely as the best, with one joint's position reversed.
+        """Yield explanations with one joint's position sign reversed, of equal plate cost.
 
         Args:
             best: The likeliest.
@@ -278,7 +278,7 @@ def _moves_zero(fit: HypothesisFit) -> bool:
 def position_hypotheses(
     tree: Tree, position: Array, beside: Sequence[Hypothesis]
 ) -> Iterator[Hypothesis]:
-    """Hypotheses about positions that may hold besides others.
+    """Yield hypotheses on position units, signs, zeros and joint orders.
 
     Args:
         tree: The robot.
@@ -309,7 +309,7 @@ def position_hypotheses(
 
 
 def rarer_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
-    """Zeros by angles that are no right ones.
+    """Yield hypotheses on joint zeros by odd multiples of 45 degrees.
 
     Args:
         tree: The robot.

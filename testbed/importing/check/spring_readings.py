@@ -20,7 +20,7 @@ FAINT = 5.0
 
 
 def spring_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
-    """Readings with a spring at one joint, of those that promise something.
+    """Yield readings with a spring at one joint, screened by a score test.
 
     Args:
         case: The log.
@@ -34,14 +34,13 @@ def spring_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRead
             yield replace(
                 reading,
                 hypotheses=(hypothesis,),
-                log=reading.log + ODDS,
                 kind="spring",
                 odds=ODDS,
             )
 
 
 def _promise(case: TorqueCase) -> Array:
-    """Nats by which a spring at each joint makes the log likelier, to first order, (n,)."""
+    """First-order log evidence gain of a spring at each joint, (n,) [nats]."""
     first, products, unit = case.as_given, case.products, np.eye(case.tree.n)
     springs = spring_torques(case.signals, case.size).T * products.counted
     cross = (products.columns.transpose(0, 2, 1) @ springs[:, :, None])[:, :, 0]

@@ -33,17 +33,14 @@ from testbed.importing.check.torque_products import SCALED
 from testbed.importing.check.torque_readings import LogReading, TorqueCase
 from testbed.importing.check.torque_signals import torque_signals
 from testbed.importing.check.torque_verdict import (
+    LARGEST,
+    MARGIN,
+    NEAR,
     TorqueVerdict,
     explain,
     without_mistake,
 )
 from testbed.importing.import_report import in_mapping
-
-LARGE = 2.5
-"""Times that torques may be too large or too small and count as of their size."""
-
-APART = 20.0
-"""Nats by which a reading of positions is refuted."""
 
 VAGUE = 30.0
 """Standard deviation of a direction that says nothing [deg]."""
@@ -55,13 +52,10 @@ CLEAR, TIMES, RIDGE = 0.01, 5.0, 1e-9
 """Part of a torque that bodies must explain for its size to be known, and times what is left; and
 part of a column's square by which dependent ones are kept apart."""
 
-NEAR = np.cos(np.deg2rad(5))
-"""Cosine of directions that have one name."""
-
 
 @dataclass(frozen=True, eq=False)
 class TorqueAssessment:
-    """What a log's torques say.
+    """Diagnostics, remedies and scale factors from the torques of a log.
 
     Attributes:
         diagnostics: What is wrong, open, or not explained.
@@ -84,7 +78,7 @@ def assess_torques(
     faults: Sequence[ChannelFault] = (),
     prior: BodyPrior | None = None,
 ) -> TorqueAssessment:
-    """What a log's torques say of its mapping and of gravity.
+    """Check a log's mapping and gravity against its joint torques.
 
     Args:
         tree: The robot, under the gravity that the log states.
@@ -118,15 +112,15 @@ def assess_torques(
 
 
 def _sized_verdict(case: TorqueCase) -> tuple[Array, TorqueVerdict, bool]:
-    """Sizes of the torques by the model file, a verdict, and whether it is on torques resized."""
+    """Torque scale factors, verdict, and whether torques were rescaled before."""
     given, sizes = explain(case), body_sizes(case)
     known = np.isfinite(sizes) & case.live
     middle = float(np.median(sizes[known])) if known.any() else 1.0
-    if given.outcome == "as given" or 1 / LARGE < middle < LARGE:
+    if given.outcome == "as given" or 1 / LARGEST < middle < LARGEST:
         return _corrected_sizes(case, given), given, False
     sizes = np.where(known, sizes, middle)
     apart = np.abs(np.log(sizes / middle)).max()
-    if apart < np.log(LARGE) and not case.fixed:  # a unit that is common to all
+    if apart < np.log(LARGEST) and not case.fixed:  # a unit that is common to all
         sizes = np.full(len(sizes), middle)
     sized = explain(without_mistake(case, _resized(case, sizes)))
     counted = sized.case.signals.counted.sum(axis=0) / sized.case.inflation
@@ -141,7 +135,7 @@ def _sized_verdict(case: TorqueCase) -> tuple[Array, TorqueVerdict, bool]:
 
 
 def body_sizes(case: TorqueCase) -> Array:
-    """Times what the model file's bodies make that torques are, (n,).
+    """Scale factors of torques relative to the model file's bodies, (n,).
 
     By least squares beside friction; nan where bodies explain little of a torque.
 
@@ -161,7 +155,7 @@ def body_sizes(case: TorqueCase) -> Array:
 
 
 def _bodies_beside_friction(case: TorqueCase) -> tuple[Array, Array]:
-    """Normal equations of each torque on friction and what the file's bodies make of it."""
+    """Normal equations of each torque on friction and the model file's torque."""
     products, count = case.products, case.products.shared
     columns = np.zeros((SCALED + 1, len(products.mean)))
     columns[:SCALED, count : count + SCALED] = np.eye(SCALED)
@@ -174,14 +168,14 @@ def _bodies_beside_friction(case: TorqueCase) -> tuple[Array, Array]:
 
 
 def _resized(case: TorqueCase, sizes: Array) -> LogReading:
-    """The log as given but for its torques' sizes."""
+    """Reading of the log with rescaled torques."""
     joints = tuple(range(case.tree.n))
     hypothesis = Hypothesis("torque_size", joints, tuple(sizes.tolist()))
     return replace(case.as_given, hypotheses=(hypothesis,), kind="torque sizes")
 
 
 def _corrected_sizes(case: TorqueCase, verdict: TorqueVerdict) -> Array:
-    """Times what the model file's bodies make that corrected torques are, (n,)."""
+    """Scale factors of the torques corrected by a verdict, (n,)."""
     for each in verdict.readings:
         if each.kind == "torque sizes":
             return np.array(each.hypotheses[0].values)
@@ -192,7 +186,7 @@ def _corrected_sizes(case: TorqueCase, verdict: TorqueVerdict) -> Array:
 
 
 def _unexplained(case: TorqueCase, reading: LogReading) -> Array:
-    """Parts of each torque's variance that a reading leaves, (n,)."""
+    """Relative residual variance of each torque, (n,)."""
     torque = case.signals.torque
     counted = case.signals.counted
     whole = (counted * (torque - torque.mean(axis=0)) ** 2).sum(axis=0)
@@ -204,7 +198,7 @@ def _unexplained(case: TorqueCase, reading: LogReading) -> Array:
 def _diagnostics(
     case: TorqueCase, assessment: TorqueAssessment, *, resized: bool
 ) -> Iterator[Diagnostic]:
-    """What a person should know of a verdict."""
+    """Yield diagnostics of a verdict."""
     verdict, tree = assessment.verdict, case.tree
     assert verdict is not None
     if verdict.outcome == "explained":
@@ -226,8 +220,8 @@ def _diagnostics(
             for each in verdict.ranked
             if each.hypotheses
             and each.hypotheses[0].kind in ("zero", "position_sign", "position_order")
-            and each.log - each.odds > first - APART
-            and abs(each.log - each.odds - first) > NOTHING
+            and each.evidence.log > first - MARGIN
+            and abs(each.evidence.log - first) > NOTHING
         ]
         yield from undecided(tree, open_ones)
 
@@ -239,7 +233,7 @@ def _explained(
     *,
     resized: bool,
 ) -> Iterator[Diagnostic]:
-    """What is wrong with a log, and what would make it right."""
+    """Yield diagnostics of accepted readings, with their remedies."""
     by_kind = {each.kind: each for each in verdict.readings}
     gravity = [each for each in assessment.remedies if each.kind == "gravity"]
     for remedy in gravity[-1:]:
@@ -258,9 +252,7 @@ def _explained(
             channel=remedy.channel,
             lines=in_mapping(remedy.lines),
         )
-    others = [
-        each for each in assessment.remedies if each.lines and each not in gravity
-    ]
+    others = [each for each in assessment.remedies if each not in gravity]
     if others:
         equals = [_words(case, each) for each in verdict.equals[1:]]
         yield wrong_mapping(case.tree, others, equals, verdict.nats, certain=True)
@@ -276,7 +268,7 @@ def _explained(
 
 
 def gravity_words(reading: LogReading) -> str:
-    """Gravity by a reading, as a person says it.
+    """Description of a reading's gravity for messages.
 
     Args:
         reading: Of gravity.
@@ -296,7 +288,7 @@ def gravity_words(reading: LogReading) -> str:
 
 
 def _factors(case: TorqueCase, reading: LogReading) -> str:
-    """Sizes of torques relative to each other, in words."""
+    """List of relative torque scale factors with standard deviations."""
     known = np.isfinite(reading.sigma)
     sizes = np.array(reading.hypotheses[0].values)
     relative = sizes / np.exp(np.log(sizes[known]).mean())
@@ -311,7 +303,7 @@ def _factors(case: TorqueCase, reading: LogReading) -> str:
 
 
 def _contradiction(case: TorqueCase, verdict: TorqueVerdict) -> Iterator[Diagnostic]:
-    """Torques whose sizes contradict each other by the file, though other bodies explain them."""
+    """Yield the diagnostic of inconsistent torque scale factors."""
     for reading in verdict.ranked:
         if reading.kind == "torque sizes" and contradictory(reading):
             sizes = _factors(case, reading)
@@ -321,7 +313,7 @@ def _contradiction(case: TorqueCase, verdict: TorqueVerdict) -> Iterator[Diagnos
 def _not_explained(
     case: TorqueCase, assessment: TorqueAssessment, verdict: TorqueVerdict
 ) -> Diagnostic:
-    """A log that does not fit its robot, and what was tried."""
+    """Diagnostic of an unexplained log, with the likeliest attempts."""
     left = assessment.unexplained
     worst = np.argsort(-left)[:3]
     joints = [
@@ -340,7 +332,7 @@ def _not_explained(
 
 
 def _words(case: TorqueCase, reading: LogReading) -> str:
-    """A reading as a person says it."""
+    """Description of a reading for messages."""
     if not reading.hypotheses:
         return "nothing wrong"
     parts = []

@@ -33,7 +33,7 @@ KNOWN, SHARP = 2.0, 0.1
 
 
 def column_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
-    """Readings with torques of other columns or senses.
+    """Yield readings with torques of other columns or opposite signs.
 
     Args:
         case: The log.
@@ -63,7 +63,7 @@ def column_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRead
 def _opposite_on_axes(
     case: TorqueCase, reading: LogReading, measured: Array
 ) -> Iterator[LogReading]:
-    """All torques of the opposite sense on a robot that is mounted otherwise.
+    """Yield readings with opposite torque signs and gravity along another axis.
 
     Together they look like a robot as given whose friction and inertial torques are reversed.
     """
@@ -77,7 +77,6 @@ def _opposite_on_axes(
         yield replace(
             reading,
             hypotheses=(*reading.hypotheses, Hypothesis("gravity", (), value)),
-            log=estimate.log + odds,
             evidence=estimate,
             gravity=gravity,
             odds=odds,
@@ -85,22 +84,20 @@ def _opposite_on_axes(
 
 
 def without_file_gravity(case: TorqueCase) -> Iterator[LogReading]:
-    """The reading of torques from which the model file's gravity was subtracted."""
-    signals = case.signals
-    still = np.zeros_like(signals.q)
-    motion = Motion(np.arange(float(len(still))), signals.q, still, still)
-    removed = joint_forces(case.tree, motion, case.gravity).T
+    """Yield the reading with gravity torques of the model file subtracted."""
+    rest = Motion.at_rest(case.signals.q)
+    removed = joint_forces(case.tree, rest, case.gravity).T
     if removed.any():
         yield case.with_torques(
             (Hypothesis("gravity_removed"),),
             BY_FILE,
-            signals.torque.T + removed,
+            case.signals.torque.T + removed,
             "by file",
         )
 
 
 def size_reading(case: TorqueCase) -> LogReading:
-    """The reading of torques that are each of another size, all sizes found together.
+    """Reading with one scale factor per joint torque, estimated jointly.
 
     A size multiplies what the bodies make of a torque; friction is in the log's own units.
 
@@ -124,13 +121,12 @@ def size_reading(case: TorqueCase) -> LogReading:
         kind="torque sizes",
         odds=odds,
         evidence=estimate,
-        log=estimate.log + odds,
         sigma=np.where(known, spread, np.inf),
     )
 
 
 def _sizes(case: TorqueCase, prior: Array) -> tuple[Array, Evidence, Array]:
-    """Logarithms of sizes by Gauss's and Newton's steps, their evidence and information."""
+    """Log torque scale factors by Gauss-Newton steps, with evidence and information."""
     products = case.products
     mean = products.mean[: products.shared]
     inputs, logs = products.products(case.gravity), np.zeros(case.tree.n)
@@ -148,7 +144,7 @@ def _sizes(case: TorqueCase, prior: Array) -> tuple[Array, Evidence, Array]:
 
 
 def contradictory(reading: LogReading) -> bool:
-    """Whether torques' sizes differ beyond noise; a common one is that of all masses.
+    """Whether torque scale factors differ significantly between joints.
 
     Args:
         reading: Of torques of other sizes.
@@ -162,7 +158,7 @@ def contradictory(reading: LogReading) -> bool:
 def _sizes_step(
     products: ChannelProducts, estimate: Evidence, mean: Array
 ) -> tuple[Array, Array]:
-    """Gradient, (n,), and information, (n, n), of the logarithms of the torques' sizes."""
+    """Gradient, (n,), and information, (n, n), of log torque scale factors."""
     n, size = len(products.count), len(mean)
     values = np.zeros_like(products.moment)
     values[:, :size] = mean + estimate.shared

@@ -45,7 +45,7 @@ DEPENDENT = 1e-10
 
 
 class Grams(NamedTuple):
-    """Products of shared columns, of these and local ones, and of local ones."""
+    """Gram matrices of shared columns, of shared with local, and of local columns."""
 
     shared: Array
     cross: Array
@@ -101,11 +101,11 @@ class TorqueProducts:
 
     @cached_property
     def count(self) -> Array:
-        """Torques of each channel that count, (C,)."""
+        """Numbers of valid samples per channel, (C,)."""
         return np.asarray(self.counted.sum(axis=1))
 
     def whole(self, measured: Array | None = None) -> Array:
-        """Sums of squares of torques that count, (C,).
+        """Sums of squared torques per channel, (C,) [N^2 m^2 or N^2].
 
         Args:
             measured: Other torques, (C, T).
@@ -116,7 +116,7 @@ class TorqueProducts:
     def products(
         self, gravity: Array, measured: Array | None = None
     ) -> ChannelProducts:
-        """Products about the prior mean under a gravity.
+        """Column products about the prior mean, under a given gravity.
 
         Args:
             gravity: (3,) [m/s^2].
@@ -132,7 +132,7 @@ class TorqueProducts:
         return ChannelProducts(*grams, moment - expected, square, self.count)
 
     def _under(self, gravity: Array) -> tuple[Grams, Array]:
-        """Products of columns under a gravity, and with the prior mean's torques."""
+        """Gram matrices under a gravity, and their products with the prior mean."""
         key = tuple(gravity.tolist())
         if key not in self._known:
             self._known.clear()  # the last alone: they are large
@@ -176,7 +176,7 @@ class TorqueProducts:
     def gravity_step(
         self, gravity: Array, estimate: Evidence, residual: Array
     ) -> tuple[Array, Array]:
-        """Gradient, (3,), and information, (3, 3), of gravity; all else integrated out.
+        """Gradient, (3,), and information, (3, 3), of gravity, other coefficients marginalised.
 
         Args:
             gravity: (3,) [m/s^2].
@@ -193,7 +193,7 @@ class TorqueProducts:
 
 
 def friction(estimate: Evidence) -> tuple[Array, Array]:
-    """Viscous and dry friction by an estimate, and their standard deviations, (C, 2) each.
+    """Viscous and Coulomb friction of an estimate, and standard deviations, (C, 2) each.
 
     In parts of each channel's size; errors of the friction law are counted in.
 
@@ -214,7 +214,7 @@ def torque_products(
     gravity: Array | None = None,
     sprung: Sequence[int] = (),
 ) -> TorqueProducts:
-    """Products of the torques of a log.
+    """Column products of joint torques on bodies, friction and springs.
 
     Args:
         tree: The robot.
@@ -253,7 +253,7 @@ def torque_products(
 
 
 def spring_torques(signals: TorqueSignals, size: Array) -> Array:
-    """Torques in proportion to each joint's position, in sigmas, (T, n).
+    """Spring torques at one prior standard deviation of stiffness, (T, n) [N m or N].
 
     Args:
         signals: Of the joints.
@@ -266,7 +266,7 @@ def spring_torques(signals: TorqueSignals, size: Array) -> Array:
 
 def _gravity_columns(tree: Tree, q: Array, prior: BodyPrior) -> Array:
     """Torques on bodies per unit of gravity along each axis, (C, T, 3, 10 n)."""
-    still = Motion(np.arange(float(len(q))), q, np.zeros_like(q), np.zeros_like(q))
+    still = Motion.at_rest(q)
     # gravity meets masses and first moments alone
     meets = np.flatnonzero(np.abs(prior.barycentric[:, :4]).max(axis=(0, 1)))
     theta = prior.barycentric[..., meets]
@@ -277,7 +277,7 @@ def _gravity_columns(tree: Tree, q: Array, prior: BodyPrior) -> Array:
 
 
 def _basis(parts: Sequence[Array]) -> Array:
-    """Orthonormal directions of the parameters that move torques, (10 n, P)."""
+    """Orthonormal basis of the identifiable parameters, (10 n, P)."""
     width = parts[0].shape[-1]
     flat = [each.reshape(-1, width) for each in parts]
     values, axes = eigh(np.asarray(sum(each.T @ each for each in flat)))

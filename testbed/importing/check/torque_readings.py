@@ -9,7 +9,12 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.evidence import ChannelProducts, Evidence, evidence
+from testbed.core.estimation.evidence import (
+    FEWEST,
+    ChannelProducts,
+    Evidence,
+    evidence,
+)
 from testbed.core.robot.gravity import SIZE
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.body_prior import BodyPrior
@@ -40,31 +45,32 @@ SCREENED = 80
 
 @dataclass(frozen=True, eq=False)
 class LogReading:
-    """A reading of a log.
+    """Interpretation of a log by hypotheses on its mapping and gravity, with its evidence.
 
     Attributes:
         hypotheses: About what the mapping says, all together; none for the log as given.
-        log: Logarithm of its probability, up to a constant of the log [nats].
         evidence: Of its torques.
         products: Of its columns.
         gravity: (3,) [m/s^2].
         measured: Other torques than those of the products, (C, T), or None.
         kind: Family of hypotheses.
         sigma: Standard deviations of what is continuous: of a direction [rad], a delay [s].
-        covariance: Of gravity's direction, (3, 3); empty for others.
         odds: Logarithm of the prior odds and of the volume of what is continuous [nats].
     """
 
     hypotheses: tuple[Hypothesis, ...]
-    log: float
     evidence: Evidence
     products: TorqueProducts
     gravity: Array
     measured: Array | None = None
     kind: str = "as given"
     sigma: Array = field(default_factory=lambda: np.zeros(0))
-    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     odds: float = 0.0
+
+    @property
+    def log(self) -> float:
+        """Logarithm of the posterior probability, up to a constant of the log [nats]."""
+        return self.evidence.log + self.odds
 
     @cached_property
     def residual(self) -> Array:
@@ -73,11 +79,11 @@ class LogReading:
 
     @cached_property
     def whole(self) -> Array:
-        """Sums of squares of the torques, (C,)."""
+        """Sums of squared torques per channel, (C,) [N^2 m^2 or N^2]."""
         return self.products.whole(self.measured)
 
     def pooled(self, live: Array) -> float:
-        """Part of all torques that is left, rms.
+        """Rms residual over all joints, relative to the rms torque.
 
         Args:
             live: Channels that count, (C,).
@@ -88,7 +94,7 @@ class LogReading:
 
 @dataclass(frozen=True, eq=False)
 class TorqueCase:
-    """A log of torques beside its robot.
+    """Joint torques of a log, the robot, and the prior of its bodies.
 
     Attributes:
         tree: The robot.
@@ -110,8 +116,8 @@ class TorqueCase:
 
     @cached_property
     def live(self) -> Array:
-        """Channels that count, (C,) of bool."""
-        return np.asarray(self.signals.counted.sum(axis=0) > 10)
+        """Whether each torque channel has enough samples, (C,)."""
+        return np.asarray(self.signals.counted.sum(axis=0) > FEWEST)
 
     @cached_property
     def size(self) -> Array:
@@ -128,21 +134,21 @@ class TorqueCase:
 
     @cached_property
     def standard(self) -> float:
-        """Size of gravity [m/s^2]."""
+        """Magnitude of gravity [m/s^2]."""
         return float(np.linalg.norm(self.gravity)) or SIZE
 
     @cached_property
     def products(self) -> TorqueProducts:
-        """Products of the log as given, gravity open unless joints are many."""
+        """Column products of the log as given, with free gravity for few joints."""
         return self.products_under(self.gravity if self.fixed or self.large else None)
 
     @property
     def large(self) -> bool:
-        """Whether the robot has so many joints that only few readings are tried."""
+        """Whether the joints are too many for all hypotheses."""
         return self.tree.n > MOST_JOINTS
 
     def products_under(self, gravity: Array | None) -> TorqueProducts:
-        """Products of the log under a gravity.
+        """Column products of the log under a given or free gravity.
 
         Args:
             gravity: (3,) [m/s^2], where it is not open.
@@ -153,12 +159,12 @@ class TorqueCase:
 
     @cached_property
     def as_given(self) -> LogReading:
-        """The log as given."""
+        """Reading of the log as its mapping states it."""
         estimate = self.fit(self.products, self.gravity)
-        return LogReading((), estimate.log, estimate, self.products, self.gravity)
+        return LogReading((), estimate, self.products, self.gravity)
 
     def with_inflation(self, reading: LogReading) -> TorqueCase:
-        """The same with residuals as correlated as a reading leaves them.
+        """Case with inflation factors from the residual autocorrelation of a reading.
 
         Args:
             reading: The likeliest.
@@ -177,7 +183,7 @@ class TorqueCase:
         variance: Array | None = None,
         rounds: int = 4,
     ) -> Evidence:
-        """Evidence of torques by the columns of one reading.
+        """Evidence of the torques for the columns of one reading.
 
         Args:
             products: Of the columns.
@@ -192,7 +198,7 @@ class TorqueCase:
     def evidence(
         self, products: ChannelProducts, variance: Array | None, rounds: int
     ) -> Evidence:
-        """Evidence of a model whose friction brakes.
+        """Evidence of a model with dissipative friction.
 
         Args:
             products: Of its columns and measurements.
@@ -203,7 +209,7 @@ class TorqueCase:
         return replace(estimate, log=estimate.log + self._braking(estimate))
 
     def _braking(self, estimate: Evidence) -> float:
-        """Logarithm of the probability that friction brakes, over the one before the data."""
+        """Log posterior probability of dissipative friction coefficients [nats]."""
         values, sigma = friction(estimate)
         logs = np.maximum(log_ndtr(values / sigma), -DRIVES)
         return float(logs[self.live].sum())
@@ -215,7 +221,7 @@ class TorqueCase:
         measured: Array,
         kind: str,
     ) -> LogReading:
-        """A reading that has other torques only.
+        """Reading with other torques and the same columns.
 
         Args:
             hypotheses: What it says.
@@ -226,7 +232,6 @@ class TorqueCase:
         estimate = self.fit(self.products, self.gravity, measured)
         return LogReading(
             hypotheses,
-            estimate.log + odds,
             estimate,
             self.products,
             self.gravity,
@@ -238,7 +243,7 @@ class TorqueCase:
     def corrected(
         self, hypotheses: tuple[Hypothesis, ...], odds: float, kind: str, count: int = 0
     ) -> LogReading:
-        """A reading whose columns are made anew.
+        """Reading with columns of corrected signals.
 
         Args:
             hypotheses: What it says.
@@ -250,13 +255,12 @@ class TorqueCase:
         case = replace(self, signals=signals.corrected(*hypotheses))
         products = case.products_under(self.gravity)
         estimate = case.fit(products, self.gravity)
-        log = estimate.log + odds
         return LogReading(
-            hypotheses, log, estimate, products, self.gravity, kind=kind, odds=odds
+            hypotheses, estimate, products, self.gravity, kind=kind, odds=odds
         )
 
     def again(self, reading: LogReading) -> LogReading:
-        """The same reading by the residuals' correlation as it is known now.
+        """Reading re-evaluated with the inflation factors of this case.
 
         Args:
             reading: One that was made with another.
@@ -264,11 +268,11 @@ class TorqueCase:
         estimate = self.fit(
             reading.products, reading.gravity, reading.measured, rounds=5
         )
-        return replace(reading, evidence=estimate, log=estimate.log + reading.odds)
+        return replace(reading, evidence=estimate)
 
 
 def correlation_times(residual: Array) -> Array:
-    """Instants of each channel that count as one, by the autocorrelation of residuals, (C,).
+    """Integrated autocorrelation times of residuals, in samples, (C,).
 
     Args:
         residual: (C, T).

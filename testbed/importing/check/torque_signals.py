@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.base.arrays import Array
+from testbed.core.base.arrays import AnyArray, Array
 from testbed.core.recordings.channels import ChannelFault, left_out
 from testbed.core.recordings.recording import Recording
 from testbed.importing.check.remedies import Hypothesis, corrected
@@ -60,7 +60,7 @@ class TorqueSignals:
         return self.filtered[self.at]
 
     def delayed(self, delay: float, lag: float = 0.0) -> Array:
-        """Torques without a delay and a first-order lag, (T, n).
+        """Torques with a delay and a first-order lag removed, (T, n) [N m or N].
 
         Args:
             delay: Of the torques [s].
@@ -69,14 +69,10 @@ class TorqueSignals:
         torque = self.filtered
         if lag:
             torque = torque + lag * _derivative(torque, self.rate)
-        if not delay:
-            return torque[self.at]
-        samples = np.arange(len(torque))
-        later = self.at + delay * self.rate
-        return np.column_stack([np.interp(later, samples, each) for each in torque.T])
+        return _interpolated(torque, self.at + delay * self.rate)
 
     def thinned(self, count: int) -> TorqueSignals:
-        """The same at no more than so many instants.
+        """Signals thinned to a maximum number of instants.
 
         Args:
             count: Of instants.
@@ -93,7 +89,7 @@ class TorqueSignals:
         )
 
     def corrected(self, *hypotheses: Hypothesis) -> TorqueSignals:
-        """Signals as they are if hypotheses hold, in the order in which they are applied.
+        """Signals corrected by hypotheses, applied in order.
 
         Args:
             hypotheses: About columns of positions and torques.
@@ -107,7 +103,7 @@ class TorqueSignals:
 def torque_signals(
     recording: Recording, faults: Sequence[ChannelFault] = ()
 ) -> TorqueSignals | None:
-    """Signals of a recording with torques; None where it is too short.
+    """Low-passed torque and motion signals; None for a recording too short.
 
     Args:
         recording: In the order of the robot's joints.
@@ -162,7 +158,7 @@ def _counted(
     at: NDArray[np.intp],
     reach: int,
 ) -> NDArray[np.bool_]:
-    """Whether a torque counts: none of a dead channel, nor near samples of a fault, (T, n)."""
+    """Mask of valid torques, without dead channels and faulty samples, (T, n)."""
     alive = [not _constant(each) for each in recording.measured("torque").T]
     counted = np.tile(alive, (len(at), 1))
     channels = [f"torque/{name}" for name in recording.names]
@@ -183,6 +179,12 @@ def _derivative(signal: Array, rate: float) -> Array:
     slope = np.gradient(signal, axis=0)
     slope[2:-2] = (8 * (signal[3:-1] - signal[1:-3]) - (signal[4:] - signal[:-4])) / 12
     return np.asarray(slope * rate)
+
+
+def _interpolated(signal: Array, at: AnyArray) -> Array:
+    """A signal, (M, n), between its samples, held beyond its ends, (T, n)."""
+    samples = np.arange(len(signal))
+    return np.column_stack([np.interp(at, samples, each) for each in signal.T])
 
 
 def _with_positions(signals: TorqueSignals, hypothesis: Hypothesis) -> TorqueSignals:
@@ -223,13 +225,10 @@ def _with_factors(signals: TorqueSignals, hypothesis: Hypothesis) -> TorqueSigna
 
 
 def _with_delay(signals: TorqueSignals, hypothesis: Hypothesis) -> TorqueSignals:
-    """Signals with torques that are so much less late."""
+    """Signals with the torques' delay removed."""
     (delay,) = hypothesis.values
-    samples = np.arange(len(signals.filtered)) + delay * signals.rate
-    columns = [
-        np.interp(samples, np.arange(len(samples)), each) for each in signals.filtered.T
-    ]
-    return replace(signals, filtered=np.column_stack(columns))
+    later = np.arange(len(signals.filtered)) + delay * signals.rate
+    return replace(signals, filtered=_interpolated(signals.filtered, later))
 
 
 def _unchanged(signals: TorqueSignals, _: Hypothesis) -> TorqueSignals:

@@ -19,6 +19,7 @@ from testbed.importing.check.delay_readings import (
     delay_readings,
 )
 from testbed.importing.check.gravity_readings import (
+    AXES,
     gravity_readings,
     on_axis,
     with_dispersion,
@@ -46,6 +47,7 @@ LEFT, LEFT_OF_ALL = 0.30, 0.15
 1.6 % of all (median), 4 % (99 %), of real logs 1 to 10 %."""
 
 FAINT = "no joint's torque is explained clearly better"
+DISAGREE = "the joints do not agree on it"
 
 BETTER, LOSS = 1.25, 0.2
 """Times less that a reading leaves in some channel, or more in any; part of what the channels gain
@@ -72,16 +74,7 @@ KEPT, TRIED, STEPS = 14, 3, 3
 NEAR = np.cos(np.deg2rad(5))
 """Cosine of directions that say the same."""
 
-DIRECTIONS = (
-    "tilt",
-    "inclined",
-    "level",
-    "ceiling",
-    "wall +x",
-    "wall -x",
-    "wall +y",
-    "wall -y",
-)
+DIRECTIONS = ("tilt", "inclined", *AXES)
 """Families of gravity's directions."""
 
 TERMINAL = ("no gravity", "part of gravity", "by file")
@@ -91,7 +84,7 @@ Outcome = Literal["as given", "explained", "not distinguished", "not explained"]
 
 
 class Rejected(NamedTuple):
-    """A reading that is likelier than the log as given, and why it is not said."""
+    """Rejected reading, likelier than the log as given, with the reasons."""
 
     reading: LogReading
     reasons: tuple[str, ...]
@@ -99,7 +92,7 @@ class Rejected(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TorqueVerdict:
-    """What may be said of a log of torques.
+    """Result of model comparison for a log of torques.
 
     Attributes:
         outcome: Whether it is right as given, explained by readings, or neither.
@@ -121,12 +114,12 @@ class TorqueVerdict:
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """All hypotheses that are said."""
+        """Hypotheses of all accepted readings."""
         return tuple(h for each in self.readings for h in each.hypotheses)
 
 
 def explain(case: TorqueCase, steps: int = STEPS) -> TorqueVerdict:
-    """What may be said of a log, up to some mistakes one after another.
+    """Compare readings of a log, correcting up to a few mistakes one by one.
 
     Args:
         case: The log.
@@ -143,7 +136,7 @@ def explain(case: TorqueCase, steps: int = STEPS) -> TorqueVerdict:
 
 
 def _continued(verdict: TorqueVerdict, steps: int) -> TorqueVerdict:
-    """A verdict whose correction was tried on the log, and what is wrong besides."""
+    """Verdict on the corrected log, joined with the first accepted reading."""
     (reading,) = verdict.readings
     if reading.kind in TERMINAL:
         return verdict
@@ -160,7 +153,7 @@ def _continued(verdict: TorqueVerdict, steps: int) -> TorqueVerdict:
 
 
 def _first_of_two(verdict: TorqueVerdict) -> TorqueVerdict:
-    """Two mistakes, where no single one explains: the likeliest are tried as the first."""
+    """Search for pairs of mistakes, beginning with the likeliest readings."""
     case, candidates = verdict.case, list[LogReading]()
     for each in verdict.ranked[:12]:
         other = all(each.kind != known.kind for known in candidates)
@@ -172,8 +165,7 @@ def _first_of_two(verdict: TorqueVerdict) -> TorqueVerdict:
     for each in candidates[:TRIED]:
         then = judge(without_mistake(case, each))
         if then.outcome == "explained":
-            log = then.readings[0].log - (each.evidence.log - each.log)
-            pairs.append((log, each, then.readings[0]))
+            pairs.append((then.readings[0].log + each.odds, each, then.readings[0]))
     pairs.sort(key=lambda pair: -pair[0])
     if not pairs:
         return verdict
@@ -191,7 +183,7 @@ def _first_of_two(verdict: TorqueVerdict) -> TorqueVerdict:
 
 
 def without_mistake(case: TorqueCase, reading: LogReading) -> TorqueCase:
-    """The log without what a reading says is wrong.
+    """Case with signals, gravity and springs corrected by a reading.
 
     Args:
         case: The log.
@@ -209,7 +201,7 @@ def without_mistake(case: TorqueCase, reading: LogReading) -> TorqueCase:
 
 
 def judge(case: TorqueCase) -> TorqueVerdict:
-    """The likeliest reading of a log, if it may be said.
+    """Compare all single readings of a log, and accept at most one.
 
     Args:
         case: The log.
@@ -230,7 +222,7 @@ def judge(case: TorqueCase) -> TorqueVerdict:
 
 
 def _refined(case: TorqueCase, readings: Sequence[LogReading]) -> list[LogReading]:
-    """The likeliest readings, judged again by the residuals' correlation."""
+    """Likeliest readings, re-evaluated with residual autocorrelation."""
     directions = [*DIRECTIONS, "part of gravity"]
     others = [each for each in readings[1:] if each.kind not in directions]
     others.sort(key=lambda each: -each.log)
@@ -247,7 +239,7 @@ def _refined(case: TorqueCase, readings: Sequence[LogReading]) -> list[LogReadin
 
 
 def _gate(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
-    """The likeliest reading that may be said, or none."""
+    """Verdict by thresholds on fit, possible bodies and evidence margin."""
     first = next(each for each in ranked if not each.hypotheses)
     live = case.live
     absurd = not possible(case, first)
@@ -257,10 +249,11 @@ def _gate(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
         if not each.hypotheses or each.log < first.log:
             continue
         reasons = tuple(_reasons(case, first, each, absurd=absurd))
-        if reasons:
-            rejected.append(Rejected(each, reasons))
+        measured = None if reasons else _measured(case, each)
+        if measured is None:
+            rejected.append(Rejected(each, reasons or (DISAGREE,)))
         else:
-            good.append(_measured(case, each))
+            good.append(measured)
     verdict = TorqueVerdict(
         "not explained", case, attempts=tuple(rejected[:TRIED]), ranked=tuple(ranked)
     )
@@ -298,24 +291,30 @@ def _gate(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
 
 
 def _alike(one: LogReading, other: LogReading) -> bool:
-    """Whether data cannot distinguish two readings, whatever the motion."""
-    return abs((one.log - one.odds) - (other.log - other.odds)) < ALIKE
+    """Whether two readings have the same evidence."""
+    return abs(one.evidence.log - other.evidence.log) < ALIKE
 
 
 def _unnamed(case: TorqueCase, first: LogReading, reading: LogReading) -> bool:
-    """Whether a reading that is not said shows that something without a name is wrong."""
+    """Whether a rejected reading reveals an unmodelled error."""
     if reading.kind in ("delay", "lag"):
         return False  # errors of models look late
     gain = _left(case, first) / np.maximum(_left(case, reading), 1e-6)
     return bool(reading.log > first.log + 2 * MARGIN and gain[case.live].max() > ODD)
 
 
-def _measured(case: TorqueCase, reading: LogReading) -> LogReading:
-    """The same with the values and sigmas that are said."""
+def _measured(case: TorqueCase, reading: LogReading) -> LogReading | None:
+    """A reading with its final values and sigmas; None for a delay that joints do not share."""
     if reading.kind in DIRECTIONS and reading.sigma.size:
         return on_axis(with_dispersion(case, reading))
     if reading.kind in ("delay", "lag"):
+        signals = case.signals
+        seconds = (signals.at[-1] - signals.at[0]) / signals.rate
+        if seconds <= 0.9 * SHORTEST:
+            return None  # errors of models look like delays
         delay = common_delay(case, reading)
+        if not delay.agree:
+            return None
         late = Hypothesis("delay", (), (round(delay.value, 5),))
         return replace(reading, hypotheses=(late,), sigma=np.array([delay.sigma]))
     return reading
@@ -324,7 +323,7 @@ def _measured(case: TorqueCase, reading: LogReading) -> LogReading:
 def _reasons(
     case: TorqueCase, first: LogReading, reading: LogReading, *, absurd: bool
 ) -> list[str]:
-    """Why a reading may not be said."""
+    """Reasons to reject a reading; empty for an acceptable one."""
     live, late = case.live, reading.kind in ("delay", "lag")
     reasons = []
     if not possible(case, reading):
@@ -348,22 +347,13 @@ def _reasons(
     loses = -nats.min() > LOSS * nats[nats > 0].sum()
     if loses and 1 / gain[nats.argmin()] > BETTER and not absurd:
         reasons.append("another joint's torque is explained worse")
-    if late and not reasons and not _late(case, reading):
-        reasons.append("the joints do not agree on it")
     if reading.kind in ("tilt", "inclined") and not _turned(case, reading):
         reasons.append("it is within three sigmas of what is given")
     return reasons
 
 
-def _late(case: TorqueCase, reading: LogReading) -> bool:
-    """Whether a log is long enough to show a delay, and its joints agree on one."""
-    signals = case.signals
-    seconds = (signals.at[-1] - signals.at[0]) / signals.rate
-    return seconds > 0.9 * SHORTEST and common_delay(case, reading).agree
-
-
 def _turned(case: TorqueCase, reading: LogReading) -> bool:
-    """Whether gravity's direction is beyond its sigmas from the given one."""
+    """Whether gravity's direction differs significantly from the stated one."""
     if not case.gravity.any():
         return True
     cosine = reading.gravity @ case.gravity / case.standard**2
@@ -372,7 +362,7 @@ def _turned(case: TorqueCase, reading: LogReading) -> bool:
 
 
 def possible(case: TorqueCase, reading: LogReading) -> bool:
-    """Whether a reading's friction brakes, and its bodies are as far off as files are.
+    """Whether friction is dissipative and masses are near the model file's.
 
     Args:
         case: The log.
@@ -391,7 +381,7 @@ def possible(case: TorqueCase, reading: LogReading) -> bool:
 
 
 def _left(case: TorqueCase, reading: LogReading) -> Array:
-    """Rms of each recorded column that a reading leaves, in parts of the column, (C,)."""
+    """Relative rms residual of each recorded torque column, (C,)."""
     left = reading.evidence.residual.copy()
     column = np.arange(case.tree.n)
     for each in reading.hypotheses:
@@ -404,7 +394,7 @@ def _left(case: TorqueCase, reading: LogReading) -> Array:
 
 
 def same(one: LogReading, other: LogReading) -> bool:
-    """Whether two readings say the same, or one contains the other.
+    """Whether two readings are equal, or one contains the other.
 
     Args:
         one: A reading.
