@@ -25,6 +25,7 @@ from testbed.bodies.prior import prior_of
 from testbed.bodies.row_products import products_of
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import SIGNAL_OF, Method, channel_units
+from testbed.core.estimation.model_errors.model_errors import WithoutModelErrors
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import with_gear
@@ -47,7 +48,9 @@ ROBOTS: dict[str, tuple[Path, tuple[Path, ...]]] = {
 """Model files, and mappings of recorded motions."""
 
 RIVALS = ("file", "refitted", "plain", "lstsq", "ridge")
-COLUMNS = (*RIVALS, "consistent", "default")
+COLUMNS = (*RIVALS, "consistent", "model errors", "default")
+"""The last but one is the default with the model errors that it names taken out of the unseen part,
+too, as `validate` does."""
 
 TERMS = ("coulomb", "viscous", "offset")
 """Of the scripts, beside rotors where the default has them."""
@@ -94,6 +97,14 @@ def errors(file: ModelFile, seen: Source, unseen: Source) -> tuple[float, Array]
         rows.squares(*predictions[name])[counted].sum() if name in values else np.nan
         for name in COLUMNS
     ]
+    without = source
+    if estimate.correction is not None:
+        own = Problem.of(tree, unseen, method, estimate.settings)
+        without = WithoutModelErrors(own, source, estimate.values, estimate.correction)
+        print("  ", ", ".join(estimate.correction.families))
+    left = products_of(problem, without, method == "external", whole=True).whole
+    named = left.squares(*predictions_of(left, values)["default"])[counted].sum()
+    squares[COLUMNS.index("model errors")] = named
     count = float(rows.rows[counted].sum())
     return count, np.array(squares) / count
 

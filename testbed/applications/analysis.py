@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 from testbed.bodies.consistency.consistent import Consistent, consistent
 from testbed.bodies.consistency.held_out import beside_consistent, with_likely_error
 from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.bodies.linear_prior import bodies_prior
+from testbed.bodies.model_average import REFERENCE
 from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prior import Prior, prior_of
 from testbed.bodies.row_products import RowParts
@@ -88,7 +90,10 @@ def analyse(
                 threads=threads,
                 progress=progress,
             )
-            problem, estimates[method] = estimate_of(problem, doubt)
+            known = None
+            if is_imported(problem.source):
+                known = bodies_prior(problem, prior_of(problem.tree), REFERENCE)
+            problem, estimates[method] = estimate_of(problem, doubt, known)
         except RecordingError as error:
             failures[method] = error
             continue

@@ -37,6 +37,7 @@ from testbed.core.estimation.estimate import (
     channel_units,
     matters,
 )
+from testbed.core.estimation.model_errors.model_errors import WithoutModelErrors
 from testbed.core.estimation.problem import Problem, tare_of
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.chosen import with_chosen_settings
@@ -289,7 +290,8 @@ def validate(
 
     Rows are made as by `identify`: same filters, rows that count, tare and gravity. Numbers of
     the instrument that were estimated are taken back first, but for those that are of one
-    recording only, the plate's zero and drift; nor are constants subtracted: see `mean`.
+    recording only, the plate's zero and drift; nor are constants subtracted: see `mean`. Model
+    errors that the estimate names and other motions have are taken out, and their doubt allowed.
 
     Args:
         tree: The robot; its inertias are not used, except for `settings.zeros`.
@@ -336,6 +338,12 @@ def _validation(
     problem: Problem, source: Source, estimate: EstimateSummary
 ) -> Validation:
     """Residuals of another recording's rows, faults of the instrument taken back."""
+    doubt: Array | float = 0.0
+    if estimate.correction is not None:
+        source = WithoutModelErrors(
+            problem, source, estimate.values, estimate.correction
+        )
+        doubt = source.doubt
     passes = problem.passes(2, source, whole=True)
     equations = problem.equations(passes)
     drifts = [name.startswith(SLOPE.kind + "/") for name in estimate.names]
@@ -359,7 +367,7 @@ def _validation(
         residual=np.sqrt(squares / used),
         mean=total / used,
         noise=np.where(np.isnan(used), np.nan, estimate.residual),
-        spread=np.sqrt(added / used),
+        spread=np.sqrt(added / used + doubt),
         zero_unknown=bool(estimate.unidentifiable),
     )
     numbers = [found.signal, found.residual, found.mean, found.spread]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from testbed.bodies.prior import Prior
 from testbed.bodies.row_products import RowProducts
 from testbed.core.base.arrays import Array
+from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.constraints import CENTRE, MASS, facts
 from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
@@ -116,6 +117,22 @@ def linear_prior(problem: Problem, prior: Prior, rows: RowProducts) -> LinearPri
     return replace(
         before, noise=np.where(rows.enough, np.maximum(noise, floor), np.inf)
     )
+
+
+def bodies_prior(problem: Problem, prior: Prior, error: float) -> Gaussian:
+    """Minimal parameters of bodies by the model file, before any data.
+
+    Args:
+        problem: Says which parameters.
+        prior: The file's bodies.
+        error: Their relative error.
+    """
+    minimal = problem.minimal
+    width = np.ones((problem.tree.n, 10))
+    width[list(prior.placeholders.bodies)] = DOUBTFUL
+    root = error * minimal.standard_matrix @ (width.ravel() * _thickened(prior).root)
+    mean = minimal.standard_matrix @ prior.standard.ravel()
+    return Gaussian(minimal.names, minimal.units, mean, root @ root.T)
 
 
 def _terms_prior(

@@ -23,7 +23,6 @@ from testbed.bodies.linear_prior import (
 )
 from testbed.bodies.row_products import RowParts, RowProducts
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
     NormalEquations,
@@ -86,16 +85,17 @@ class ModelAverage:
             return self.weights @ _values(rows, self.prior, self.errors, self.noise)
         return self.weights @ self.by_rows[rows]
 
-    def conditioned_on(self, estimate: Estimate) -> ModelAverage:
+    def conditioned_on(self, values: Array, covariance: Array) -> ModelAverage:
         """Average conditioned on a generalised least-squares estimate instead of the rows.
 
         Its information counts correlated noise; the weights of the fits stay.
 
         Args:
-            estimate: Estimate of the same unknowns by generalised least squares.
+            values: Of the same unknowns by generalised least squares, (p,).
+            covariance: Of these, (p, p).
         """
-        information = scaled_inverse(np.array(estimate.covariance))
-        left = estimate.values - self.prior.mean
+        information = scaled_inverse(covariance)
+        left = values - self.prior.mean
 
         def fit(error: float) -> tuple[Array, Array]:
             root = self.prior.times(error).root

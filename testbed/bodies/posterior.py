@@ -169,7 +169,8 @@ def reported_estimate(
     if plain or not found.used:
         return ReportedEstimate(own, PLAIN, models)
     known = {
-        name: getattr(own, name) for name in ("nuisances", "unidentifiable", "settings")
+        name: getattr(own, name)
+        for name in ("nuisances", "unidentifiable", "settings", "correction")
     }
     return ReportedEstimate(replace(found, **known), POSTERIOR, models)
 
@@ -196,7 +197,7 @@ def posterior(
         errors = PRIOR_ERRORS if prior_error is None else (prior_error,)
         fit = model_average(rows, before, errors)
         if well_conditioned(estimate):
-            fit = fit.conditioned_on(estimate)
+            fit = fit.conditioned_on(estimate.values, _without_model_errors(estimate))
         alone = tuple(alone_determined(whole, reference).tolist())
         answer: ModelAverage | Estimate = fit
         if determines(estimate, reference) and whole.enough.all():
@@ -209,6 +210,9 @@ def posterior(
         if estimate is not None:
             fits[PLAIN] = _plain
         before = before.times(prior_error or max(fit.prior_error, REFERENCE))
+        covariance = np.array(answer.covariance)
+        if answer is fit:
+            covariance = covariance + _of_model_errors(estimate, before, covariance)
         constants = whole.constants(answer.values)
         variance = np.maximum(before.variance, TINY)
         return Posterior(
@@ -221,8 +225,8 @@ def posterior(
             refitted=refitted(whole, before),
             prior_sigma=np.sqrt(before.variance),
             values=answer.values,
-            covariance=np.array(answer.covariance),
-            share=np.clip(1 - np.diagonal(answer.covariance) / variance, 0.0, 1.0),
+            covariance=covariance,
+            share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
             alone=alone,
             prior_error=fit.prior_error,
             used=answer is fit,
@@ -235,6 +239,31 @@ def posterior(
             settings=problem.settings,
             errors=held_out_errors(rows, fits, file),
         )
+
+
+def _of_model_errors(
+    estimate: Estimate | None, prior: LinearPrior, covariance: Array
+) -> Array | float:
+    """Covariance that model errors add beside a prior, (p, p).
+
+    Args:
+        estimate: By least squares; None where the data determine none.
+        prior: Of the unknowns.
+        covariance: Of the unknowns otherwise, (p, p).
+    """
+    if estimate is None or estimate.model_error_effect is None:
+        return 0.0
+    root = estimate.model_error_effect.root(covariance, prior.root @ prior.root.T)
+    return np.asarray(root @ root.T)
+
+
+def _without_model_errors(estimate: Estimate) -> Array:
+    """Covariance of an estimate without what model errors add, (p, p)."""
+    covariance = np.array(estimate.covariance)
+    if estimate.model_error_effect is None:
+        return covariance
+    root = estimate.model_error_effect.root(covariance)
+    return covariance - root @ root.T
 
 
 def rows_of(problem: Problem, estimate: Estimate | None) -> RowParts:

@@ -42,6 +42,9 @@ OF_RECORDING = {
 }
 """Doubts of a recording that concern all that is identified from it."""
 
+MODEL_ERROR = "model-error."
+"""Codes of model errors: standard deviations count them."""
+
 WELL = "verdict.well"
 """Code of the one diagnostic of a verdict without reservations."""
 
@@ -72,6 +75,12 @@ def verdict_of(
         if said.level == "error"
         # of least squares
         and not (said.method in other and messages()[said.code].symptom)
+    ]
+    found += [
+        said
+        for each in made
+        for said in each.diagnostics
+        if said.code.startswith(MODEL_ERROR)
     ]
     if first or found:
         return ordered([*first, *found])

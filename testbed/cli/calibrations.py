@@ -202,7 +202,11 @@ def calibrate(
         )
     write_plate(plate, out)
     if as_json:
-        output.print_json(encode(plate, exclude={"estimate": {"normal_equations"}}))
+        output.print_json(
+            encode(
+                plate, exclude={"estimate": {"normal_equations", "measured_equations"}}
+            )
+        )
     else:
         terminal.print_plate(plate, [*reading.tree.diagnostics, *held], out)
 

@@ -12,8 +12,11 @@ from functools import cached_property
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.dynamics.force_derivatives import (
+    ForceDerivatives,
+    force_derivatives,
+)
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.dynamics.wrench_derivatives import base_wrench_derivatives
 from testbed.core.robot.tree import Tree
 
 
@@ -81,7 +84,7 @@ class PredictedWrench:
     @cached_property
     def moving(self) -> Array:
         """Wrench of the moving bodies, (m, 6) [N, N m]."""
-        return self._derivatives[0]
+        return self._derivatives.wrench
 
     @cached_property
     def wrench(self) -> Array:
@@ -99,11 +102,12 @@ class PredictedWrench:
             dqd: Derivative of the velocity by the error, (m,).
             dqdd: Derivative of the acceleration by the error, (m,).
         """
-        changes = zip((dq, dqd, dqdd), self._derivatives[1][joint], strict=True)
-        total = np.zeros_like(self.moving)
-        for change, slope in changes:
-            total += np.broadcast_to(change, len(total))[:, None] * slope
-        return total
+        changes = (
+            np.broadcast_to(each, self.motion.samples)[:, None, None]
+            for each in (dq, dqd, dqdd)
+        )
+        own = self._derivatives.wrench_slopes.of(slice(joint, joint + 1))
+        return own.along(*changes)[:, :, 0, 0]
 
     def passing(self, joint: int) -> Array:
         """Derivative of the wrench in time by one joint's motion alone, filtered, (rows, 6, 1).
@@ -113,7 +117,11 @@ class PredictedWrench:
         Args:
             joint: Index.
         """
-        by_position, by_velocity, by_acceleration = self._derivatives[1][joint]
+        slopes = self._derivatives.wrench_slopes
+        by_position, by_velocity, by_acceleration = (
+            each[:, :, joint]
+            for each in (slopes.position, slopes.velocity, slopes.acceleration)
+        )
         qd, qdd = self.motion.qd[:, joint, None], self.motion.qdd[:, joint, None]
         turning = _rate(by_acceleration, self.motion.t)
         known = by_position * qd + by_velocity * qdd - turning * qdd
@@ -122,23 +130,28 @@ class PredictedWrench:
         )
 
     @cached_property
-    def _derivatives(self) -> tuple[Array, Array]:
-        """Wrench of the moving bodies, and its derivatives by the coordinates, (n, 3, m, 6)."""
-        return base_wrench_derivatives(self.tree, self.motion, self.theta, self.gravity)
+    def _derivatives(self) -> ForceDerivatives:
+        return force_derivatives(self.tree, self.motion, self.theta, self.gravity)
 
     def rows(self, signals: Array) -> Array:
         """Signals at the instants, (m, 6, k), filtered at the rows, (rows, 6, k)."""
-        return self._filtered(signals, self.filter.weights)
+        return filtered(signals, self.filter.weights, self.filter.step)
 
     def rates(self, signals: Array) -> Array:
         """Derivatives of signals in time, filtered at the rows, (rows, 6, k)."""
-        return self._filtered(signals, self.filter.slopes)
+        return filtered(signals, self.filter.slopes, self.filter.step)
 
-    def _filtered(self, signals: Array, weights: Array) -> Array:
-        windows = np.lib.stride_tricks.sliding_window_view(
-            signals, len(weights), axis=0
-        )
-        return windows[:: self.filter.step] @ weights
+
+def filtered(signals: Array, weights: Array, step: int) -> Array:
+    """Weighted sums of consecutive instants, (rows, C, k), of signals (m, C, k).
+
+    Args:
+        signals: At instants.
+        weights: Of the instants around a row.
+        step: Instants from row to row.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
+    return windows[::step] @ weights
 
 
 def _rate(signal: Array, time: Array) -> Array:

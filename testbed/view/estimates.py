@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from testbed.applications.calibration import Calibration
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import phrase
 from testbed.core.base.errors import plural, printable
 from testbed.core.base.summary_table import number_with_sigma, numbers_with_sigma
+from testbed.core.estimation.diagnostics.model_errors import numbers, treatment
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.influence import by_influence
+from testbed.core.estimation.model_errors.estimates import ModelErrorEstimate
 from testbed.core.estimation.selection.held_out import HeldOut, TermChoice
-from testbed.core.estimation.sensor.estimates import TraceTest
 from testbed.core.recordings.columns import AXES
 from testbed.lab.experiment.run import Run
 from testbed.view.section import Table
@@ -250,25 +249,7 @@ def _place(centre: Array, sigma: Array) -> str:
     return ", ".join(said)
 
 
-LARGEST = 3
-"""Numbers of a fault that are shown."""
-
-CLEAR = 1e-3
-"""Chance above which sizes mean nothing and are left out."""
-
-
-@dataclass(frozen=True)
-class TraceTable(Table):
-    """A table of faults.
-
-    Attributes:
-        traced: Whether it holds what is no chance.
-    """
-
-    traced: bool = True
-
-
-def instrument_tables(run: Run) -> list[TraceTable]:
+def instrument_tables(run: Run) -> list[Table]:
     """Numbers of the instrument and faults looked for; none without the plate's estimate.
 
     Args:
@@ -279,38 +260,27 @@ def instrument_tables(run: Run) -> list[TraceTable]:
     ]
 
 
-def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
+def _of_estimate(estimate: Estimate) -> Iterator[Table]:
     if estimate.nuisances:
         rows = [
             [n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"]
             for n in estimate.nuisances
         ]
-        yield TraceTable(
+        yield Table(
             ["what", "unit", "value", "std"], rows, "Estimated with the parameters"
         )
-    tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
-    sensor = estimate.instrument if estimate.minimal.of_sensor else ""
-    clear = [_test(test, sensor) for test in tested if test.chance <= CLEAR]
-    others = [
-        [phrase(t.nuisance, sensor), _chance(t.chance)] for t in tested[len(clear) :]
-    ]
-    if clear:
-        heads = ["fault", "chance", "would change", "size"]
-        yield TraceTable(
-            heads, clear, "Faults with significant effect, the most significant first"
-        )
-    if others:
-        title = "Faults without significant effect"
-        yield TraceTable(["fault", "chance"], others, title, traced=False)
+    if estimate.model_errors:
+        heads = ["model error", "gain", "rms", "part", "channel", "treated", "size"]
+        rows = [_model_error(estimate, each) for each in estimate.model_errors]
+        yield Table(heads, rows, "Errors of the model that the residuals show")
     found = None if estimate.noise is None else estimate.noise.repetition
     if found is not None:
         shares = zip(estimate.channels, found.share, strict=True)
-        yield TraceTable(
+        yield Table(
             ["channel", "part"],
             [[channel, f"{max(0.0, share):.0%}"] for channel, share in shares],
             f"Part of the residuals that repeats with the motion, every {found.period:.4g} s: "
             f"chance {_chance(found.chance)} if it were noise",
-            traced=found.chance <= CLEAR,
         )
 
 
@@ -318,13 +288,16 @@ def _chance(chance: float) -> str:
     return "below 1e-99" if chance < 1e-99 else f"{chance:.2g}"
 
 
-def _test(test: TraceTest, sensor: str) -> list[str]:
-    shift = f"{test.parameter} by {test.shift:.2g} standard deviations"
+def _model_error(estimate: Estimate, error: ModelErrorEstimate) -> list[str]:
+    most = int(np.argmax(np.nan_to_num(error.share)))
     return [
-        phrase(test.nuisance, sensor),
-        _chance(test.chance),
-        shift,
-        "; ".join(test.largest(LARGEST)),
+        error.label,
+        f"{error.gain:.0f}",
+        f"{error.effect[most]:.2g} {estimate.channel_units[most]}",
+        f"{error.share[most]:.0%}",
+        estimate.channels[most],
+        treatment(error),
+        numbers(error),
     ]
 
 

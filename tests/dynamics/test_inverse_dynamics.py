@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,9 +13,10 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.core.base.arrays import Array
+from testbed.core.dynamics.force_derivatives import force_derivatives
 from testbed.core.dynamics.newton_euler import blocks, parameter_regressor, poses
-from testbed.core.dynamics.wrench_derivatives import base_wrench_derivatives
 from testbed.core.parameters.rules import Model
+from testbed.core.robot.rotations import from_vector
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_states
 from tests.helpers.sensors import random_cut
@@ -73,25 +77,92 @@ def test_regressors_give_the_forces(robot: Robot, rng: Rng, model: Model, zeros:
 
 @few(20)
 @given(robots((1, 8)), rngs)
-def test_derivatives_of_the_wrench_are_its_differences(robot: Robot, rng: Rng) -> None:
+def test_derivatives_of_forces_are_their_differences(robot: Robot, rng: Rng) -> None:
     """Errors of encoders become columns by these; more instants than one block holds; of a cut."""
     tree = robot.tree() if rng.random() < 0.5 else random_cut(robot.tree(), rng)
     states, theta = motion(rng, 515, tree.n), np.array(tb.barycentric(tree))
-    wrench, slopes = base_wrench_derivatives(tree, states, theta)
-    assert near(wrench, tb.base_wrench(tree, states))
+    whole = force_derivatives(tree, states, theta)
+    assert near(whole.wrench, tb.base_wrench(tree, states))
+    assert near(whole.torque, tb.joint_forces(tree, states))
     step, last = 1e-5, slice(510, 515)
-    for joint in range(tree.n):
-        for kind in range(3):
-            moved = np.zeros((3, 515, tree.n))
-            moved[kind, :, joint] = step
-            plus, minus = (
-                tb.Motion(states.t, states.q + x[0], states.qd + x[1], states.qdd + x[2])[last]
-                for x in (moved, -moved)
+    for slopes, force in (
+        (whole.wrench_slopes, tb.base_wrench),
+        (whole.torque_slopes, tb.joint_forces),
+    ):
+        size = max(np.abs(each).max() for each in vars(slopes).values())
+        for joint in range(tree.n):
+            for kind, each in enumerate((slopes.position, slopes.velocity, slopes.acceleration)):
+                moved = np.zeros((3, 515, tree.n))
+                moved[kind, :, joint] = step
+                plus, minus = (
+                    tb.Motion(states.t, states.q + x[0], states.qd + x[1], states.qdd + x[2])[last]
+                    for x in (moved, -moved)
+                )
+                found = (force(tree, plus) - force(tree, minus)) / (2 * step)
+                np.testing.assert_allclose(each[last, :, joint], found, atol=1e-7 * size)
+
+
+@few(10)
+@given(robots((2, 6)), rngs)
+def test_derivatives_by_frames_are_those_of_other_trees(robot: Robot, rng: Rng) -> None:
+    """Five displacements before each joint, and slides and turns of the base."""
+    tree = robot.tree()
+    states, theta = motion(rng, 5, tree.n), np.array(tb.barycentric(tree))
+    whole = force_derivatives(tree, states, theta, frames=True)
+    n, step = tree.n, 1e-6
+    for joint in range(n):
+        own = tree.joints[joint]
+        X_PB = own.X_PB
+        for k in range(3):
+            axis = X_PB.R_AB @ np.eye(3)[k]
+            forces = [
+                _forces(tree, joint, states, offset=own.offset + s * axis) for s in (step, -step)
+            ]
+            found = (forces[0] - forces[1]) / (2 * step)
+            at = n + 5 * joint + k
+            slopes = np.concatenate(
+                [whole.wrench_slopes.position[:, :, at], whole.torque_slopes.position[:, :, at]], 1
             )
-            found = (tb.base_wrench(tree, plus) - tb.base_wrench(tree, minus)) / (2 * step)
-            np.testing.assert_allclose(
-                slopes[joint, kind, last], found, atol=1e-7 * np.abs(slopes).max()
+            np.testing.assert_allclose(slopes, found, atol=1e-5 * max(1.0, np.abs(found).max()))
+        first = np.cross(own.axis, np.eye(3)[np.abs(own.axis).argmin()])
+        across = first / np.linalg.norm(first)
+        for k, axis in enumerate((across, np.cross(own.axis, across))):
+            forces = [
+                _forces(tree, joint, states, rotation=own.rotation @ from_vector(s * axis))
+                for s in (step, -step)
+            ]
+            found = (forces[0] - forces[1]) / (2 * step)
+            at = n + 5 * joint + 3 + k
+            slopes = np.concatenate(
+                [whole.wrench_slopes.position[:, :, at], whole.torque_slopes.position[:, :, at]], 1
             )
+            np.testing.assert_allclose(slopes, found, atol=1e-5 * max(1.0, np.abs(found).max()))
+    # gravity turns the other way where the base turns; forces are about the bedplate's axes
+    wrench = whole.wrench_slopes.position[:, :, 6 * n + 3 :]
+    for k, axis in enumerate(np.eye(3)):
+        g = [from_vector(-s * axis) @ tree.gravity for s in (step, -step)]
+        torque = (tb.joint_forces(tree, states, g[0]) - tb.joint_forces(tree, states, g[1])) / (
+            2 * step
+        )
+        size = max(1.0, np.abs(torque).max())
+        found = whole.torque_slopes.position[:, :, 6 * n + 3 + k]
+        np.testing.assert_allclose(found, torque, atol=1e-5 * size)
+        here = (tb.base_wrench(tree, states, g[0]) - tb.base_wrench(tree, states, g[1])) / (
+            2 * step
+        )
+        w = whole.wrench
+        turned = np.concatenate([np.cross(axis, w[:, :3]), np.cross(axis, w[:, 3:])], axis=1)
+        np.testing.assert_allclose(
+            wrench[:, :, k], here + turned, atol=1e-5 * max(1.0, np.abs(here).max())
+        )
+
+
+def _forces(tree: tb.Tree, joint: int, states: tb.Motion, **changes: Any) -> Any:
+    """Base wrench and torques of a tree with another frame of a joint, (M, 6 + n)."""
+    joints = list(tree.joints)
+    joints[joint] = replace(joints[joint], **changes)
+    other = replace(tree, joints=tuple(joints))
+    return np.concatenate([tb.base_wrench(other, states), tb.joint_forces(other, states)], axis=1)
 
 
 @given(trees((3, 3)), rngs, st.integers(0, 2900))

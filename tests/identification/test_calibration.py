@@ -22,7 +22,7 @@ from testbed.core.base.errors import SettingsError, TestbedError, UnknownName
 from testbed.core.estimation.regression import windows
 from testbed.core.estimation.regression.constraints import centre_of_mass, total_mass
 from testbed.core.estimation.regression.windows import make_plan, row_weights
-from testbed.core.estimation.sensor.predicted_wrench import row_filter
+from testbed.core.estimation.sensor.predicted_wrench import predict_wrench, row_filter
 from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
 from testbed.core.kernel.layout import layout
 from testbed.lab.experiment.plate_file import read_plate, write_plate
@@ -264,15 +264,17 @@ def columns_of(recording: tb.Recording, tree: tb.Tree, kind: str, estimated: boo
     plan = make_plan(recording, layout(tree, minimal), TARE, settings)
     cutoff, unknowns = settings.row_low_pass, unknowns_of(tree, [ALL[kind]])
     assert cutoff is not None
-    made = Columns(
-        plan,
-        row_filter(plan, cutoff),
-        minimal.values(tb.barycentric(tree)),
-        [unknowns],
-        unknowns if estimated else None,
-    )
-    parts = (made(plan.signals(recording.part(w.first, w.last), w), w.row) for w in plan.windows())
-    return np.concatenate(list(parts), axis=1)
+    filtered, values = row_filter(plan, cutoff), minimal.values(tb.barycentric(tree))
+    made = Columns(plan, filtered, values, unknowns)
+    theta, parts = plan.layout.theta @ (plan.layout.basis @ values), []
+    for window in plan.windows():
+        signals = plan.signals(recording.part(window.first, window.last), window)
+        if estimated:
+            parts.append(made(signals, window.row))
+        else:
+            predicted = predict_wrench(plan, filtered, theta, signals, window.row)
+            parts.append(ALL[kind].columns(predicted).transpose(1, 0, 2))
+    return np.concatenate(parts, axis=1)
 
 
 def encoder_errors(kind: str, recording: tb.Recording, tree: tb.Tree) -> list[list[Array]]:
@@ -397,7 +399,7 @@ def test_a_long_recording_is_looked_at_evenly(monkeypatch: pytest.MonkeyPatch) -
     plan = make_plan(measured(tree, 1, duration=260.0, rate=100.0), rows, TARE, tb.Settings())
     every = [window.row for window in plan.windows()]
     for most in (10_000, 4, 3):
-        monkeypatch.setattr(windows, "TESTED_WINDOWS", most)
-        at = [every.index(row) for row in sorted(replace(plan).tested_windows)]
+        monkeypatch.setattr(windows, "CLOSE_WINDOWS", most)
+        at = [every.index(row) for row in sorted(replace(plan).close_windows)]
         assert (len(at), at[0], at[-1]) == (min(most, len(every)), 0, len(every) - 1)
         assert np.ptp(np.diff(at)) <= 1

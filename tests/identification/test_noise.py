@@ -191,7 +191,7 @@ def repetition(noise: Autoregression, left: Array, cut: int = 10**9) -> Periodic
     for first in range(0, left.shape[1], cut):
         white = left[:, first : first + cut]
         none = np.zeros((*white.shape, 0))
-        sums.add(WhitenedRows(none, False, white, np.ones_like(white), white, none, none))
+        sums.add(WhitenedRows(none, white, np.ones_like(white), white, none, none))
     return sums.result()
 
 
@@ -428,7 +428,7 @@ def test_a_plate_that_is_not_level_is_named() -> None:
         made = noisy(ideal(actual, duration=20.0), size=0.02)
         metadata = replace(made.metadata, gravity=three(tree.gravity))
         found = tb.identify(tree, replace(made, metadata=metadata))
-        assert any("level" in each.causes for each in found.diagnostics) == said
+        assert ("tilt" in {each.family for each in found.model_errors}) == said
 
 
 def test_a_parameter_counts_for_the_signal_that_it_makes_alone() -> None:

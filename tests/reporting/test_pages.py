@@ -14,14 +14,12 @@ import pytest
 import testbed as tb
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.verdict import verdict_of
-from testbed.core.base.diagnostics import phrase
 from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.estimation.estimate import METHODS, NAMES
 from testbed.core.estimation.influence import by_influence
 from testbed.core.recordings.metadata import Metadata
 from testbed.lab.experiment.evaluate import wrong_bodies
 from testbed.lab.experiment.summary import summary, verdict
-from testbed.view.estimates import CLEAR, instrument_tables
 from testbed.view.figures import Panel
 from testbed.view.run_page import write_report
 from testbed.view.signals import sections
@@ -183,24 +181,6 @@ def test_drives_and_bodies_of_the_page_are_the_runs() -> None:
         assert masses == pytest.approx([prior[0], own[0]], rel=1e-3)
         centre = np.array(row[3].split(), dtype=float)
         np.testing.assert_allclose(centre * own[0], own[1:4], atol=1e-3)
-
-
-def test_faults_are_sorted_by_chance_and_only_clear_ones_have_a_size() -> None:
-    """A size of what is mere chance would be believed."""
-    for name in ("ur5", "gantry", "plate"):
-        external, *_ = run_named(name).estimates.values()
-        rows: list[Any] = []
-        for table in instrument_tables(run_named(name)):
-            if table.heads[:2] == ["fault", "chance"]:
-                chances = [float(row[1].removeprefix("below ")) for row in table.rows]
-                assert chances == sorted(chances)
-                assert table.traced == (max(chances) <= CLEAR) == (len(table.heads) == 4)
-                rows += table.rows
-        wanted = {phrase(test.nuisance): test.chance for test in external.trace_tests}
-        assert set(wanted) == {row[0] for row in rows}
-        for fault, chance, *_ in rows:
-            if "below" not in chance:
-                assert float(chance) == pytest.approx(wanted[fault], rel=0.06, abs=1e-99)
 
 
 def test_the_same_bits_every_time_and_both_files_or_none(tmp_path: Path) -> None:

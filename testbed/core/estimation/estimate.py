@@ -15,10 +15,15 @@ from testbed.core.base.diagnostics import Diagnosed, Diagnostic, sentences
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.base.summary_table import SummaryTable
 from testbed.core.estimation.information import Information, added
+from testbed.core.estimation.model_errors.estimates import (
+    ModelErrorCorrection,
+    ModelErrorEffect,
+    ModelErrorEstimate,
+)
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import NormalEquations
 from testbed.core.estimation.selection.held_out import TermChoice
-from testbed.core.estimation.sensor.estimates import NuisanceEstimate, TraceTest
+from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
@@ -156,6 +161,7 @@ class EstimateSummary(Gaussian):
             channel has a constant of its own.
         nuisances: Coefficients of sensor errors that were estimated with the parameters.
         settings: How its recording became equations, with all that data chose.
+        correction: Model errors that every recording has; None for none.
     """
 
     method: Method
@@ -163,6 +169,7 @@ class EstimateSummary(Gaussian):
     residual: Array
     nuisances: tuple[NuisanceEstimate, ...] = ()
     settings: Annotated[Settings, TableSchema()] = DEFAULTS
+    correction: ModelErrorCorrection | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -190,9 +197,11 @@ class Estimate(Diagnosed, EstimateSummary):
         drives: That set with the joints' own terms, for the internal method.
         joints: The joints' names.
         noise: What the residuals are like; None where they are taken as white.
-        trace_tests: Faults of the instrument whose traces were looked for in the residuals.
         nuisance_covariance: Of the coefficients of sensor errors, (s, s).
         choice: How held-out data chose the joints' terms, where they did.
+        measured_equations: Of rows as measured, where model errors are taken out of the others.
+        model_errors: Errors of the model that the residuals show, the clearest first.
+        model_error_effect: What they add to the covariance, which counts it; None for nothing.
     """
 
     channels: tuple[str, ...]
@@ -206,9 +215,11 @@ class Estimate(Diagnosed, EstimateSummary):
     drives: DriveSet | None
     joints: tuple[str, ...]
     noise: NoiseModel | None = None
-    trace_tests: tuple[TraceTest, ...] = ()
     nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     choice: TermChoice | None = None
+    measured_equations: NormalEquations | None = None
+    model_errors: tuple[ModelErrorEstimate, ...] = ()
+    model_error_effect: ModelErrorEffect | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -12,16 +12,27 @@ from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.diagnostics import Diagnostic, of_instrument, ordered
+from testbed.core.base.diagnostics import (
+    Diagnostic,
+    messages,
+    of_instrument,
+    ordered,
+)
 from testbed.core.base.errors import RecordingError, SettingsError, UnseenParameters
+from testbed.core.base.gaussian import Gaussian
 from testbed.core.base.stages import Progress, stage
 from testbed.core.estimation.diagnostics.diagnosis import diagnostics, quality
-from testbed.core.estimation.diagnostics.residuals import zero_unknown
+from testbed.core.estimation.diagnostics.model_errors import model_error_diagnostics
+from testbed.core.estimation.diagnostics.residuals import noisy, zero_unknown
 from testbed.core.estimation.diagnostics.setup import (
     regrouped_rotors,
     setup_diagnostics,
 )
 from testbed.core.estimation.estimate import Estimate, Method, channel_units, sensor_of
+from testbed.core.estimation.model_errors.model_errors import (
+    WithoutModelErrors,
+    find_model_errors,
+)
 from testbed.core.estimation.noise.coloured_noise import (
     GlsFit,
     bootstrap,
@@ -45,6 +56,8 @@ from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.source import RecordingLike, Source
 from testbed.core.robot.tree import Tree, require_tree
+from testbed.sensors.corrected import corrected
+from testbed.sensors.errors.plate_bias import PlateBias
 
 
 def identify(
@@ -103,13 +116,16 @@ def identify(
 
 
 def estimate_of(
-    problem: Problem, doubt: CalibrationCovariance | None = None
+    problem: Problem,
+    doubt: CalibrationCovariance | None = None,
+    prior: Gaussian | None = None,
 ) -> tuple[Problem, Estimate]:
     """Estimate of a problem, and the problem with the terms and the filter that data chose.
 
     Args:
         problem: Robot, recording and method.
         doubt: As for `identify`.
+        prior: Of the bodies' parameters, beside which model errors are sought; None for none.
 
     Raises:
         RecordingError: As `identify`.
@@ -123,10 +139,63 @@ def estimate_of(
         if fewer.names == problem.names:
             raise
         problem, estimate = fewer, _estimate_of(fewer, doubt)
+    problem, estimate = _beside_model_errors(problem, estimate, doubt, prior)
     diagnostics = of_instrument(
         [*estimate.diagnostics, *chosen], sensor_of(problem.tree)
     )
     return problem, replace(estimate, choice=choice, diagnostics=diagnostics)
+
+
+def _beside_model_errors(
+    problem: Problem,
+    estimate: Estimate,
+    doubt: CalibrationCovariance | None,
+    prior: Gaussian | None,
+) -> tuple[Problem, Estimate]:
+    """Problem without the model errors that are named, and its estimate, which counts all."""
+    settings = problem.settings
+    if not settings.model_errors or settings.row_low_pass is None:
+        return problem, estimate
+    causes = [d for d in estimate.diagnostics if not messages()[d.code].symptom]
+    gross = any(d.level == "error" and d.code not in EXPLAINED for d in causes)
+    if gross or not noisy(estimate):
+        return problem, estimate
+    # of signals as measured
+    faults = [d for d in causes if d.code.startswith(AS_MEASURED)]
+    source = corrected(problem.source, problem.tree, estimate.sensor_errors)
+    with one_blas_thread():
+        offset = estimate.noise is not None and estimate.noise.bias_weight > 0.5
+        beside = (*settings.nuisances, *[PlateBias.term] * offset)
+        errors = find_model_errors(problem, source, estimate.values, beside, prior)
+        if errors is None:
+            return problem, estimate
+        measured = None
+        if errors.lasting is not None:
+            measured = estimate.normal_equations
+            source = WithoutModelErrors(
+                problem, problem.source, errors.values, errors.lasting
+            )
+            problem = replace(problem, source=source)
+            estimate = _estimate_of(problem, doubt)
+        root = errors.effect.root(estimate.covariance)
+    estimate = replace(
+        estimate,
+        covariance=estimate.covariance + root @ root.T,
+        measured_equations=measured,
+        model_errors=errors.each,
+        model_error_effect=errors.effect,
+        correction=errors.lasting,
+    )
+    every = [*faults, *estimate.diagnostics, *model_error_diagnostics(estimate)]
+    return problem, replace(estimate, diagnostics=ordered(every))
+
+
+EXPLAINED = {"torque.delay", "plate.tare"}
+"""Codes of causes that model errors may explain, or that are constant."""
+
+
+AS_MEASURED = ("channel.", "encoder.", "torque.effort")
+"""Beginnings of codes of what single signals show."""
 
 
 class PreparedProblem(NamedTuple):
@@ -228,6 +297,5 @@ def _estimate(
         noise=fit.noise,
         nuisances=model.estimates(numbers, fit),
         nuisance_covariance=model.covariance(fit),
-        trace_tests=model.tests(problem, fit),
         settings=problem.settings,
     )

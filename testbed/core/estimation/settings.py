@@ -238,6 +238,12 @@ class Settings(Checked):
     curves, both methods combined; with the given terms, or with those that held-out data choose
     for each joint (docs/drives.md)."""
 
+    model_errors: Annotated[
+        bool, Annotated[bool, Field(strict=True)], "true or false"
+    ] = True
+    """Whether residuals are searched for errors of the model, as friction of another law, elastic
+    joints or a base that is not level (docs/model-errors.md)."""
+
     engine: Annotated[
         Literal["by size", "compiled", "numpy"],
         Literal["by size", "compiled", "numpy"],

@@ -84,7 +84,7 @@ FIELDS = (
 LARGEST = 500_000_000
 """Bytes of a run folder's estimates; a humanoid's have a tenth."""
 
-FOR_OURSELVES = {"estimates": {"__all__": {"normal_equations"}}}
+FOR_OURSELVES = {"estimates": {"__all__": {"normal_equations", "measured_equations"}}}
 """Sums of products, which are most of an estimate."""
 
 

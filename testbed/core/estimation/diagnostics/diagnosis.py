@@ -17,9 +17,9 @@ from testbed.core.base.errors import ENOUGH, SettingsError, components, few
 from testbed.core.base.stages import stage
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.diagnostics.residuals import (
-    fault_diagnostics,
     noise_diagnostics,
     noisy,
+    repetition,
 )
 from testbed.core.estimation.diagnostics.rigid_bodies import SIGMAS, rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
@@ -120,7 +120,7 @@ def diagnostics(
         faults += _efforts(tree, survey.measured)
         negative += _friction(estimate)
         faults += _late(estimate, problem)
-    faults += [*negative, *fault_diagnostics(estimate), *_residuals(estimate, tree)]
+    faults += [*negative, *repetition(estimate), *_residuals(estimate, tree)]
     if not negative:
         faults += _impossible(estimate)
     return tuple(faults)

@@ -1,74 +1,22 @@
-"""What residuals show: faults of the instrument, repetition, offsets, and noise of the encoders."""
+"""What residuals show: repetition, offsets, and noise of the encoders."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import special
 
-from testbed.core.base.diagnostics import Diagnostic, diagnose, phrase
+from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import few
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.noise_model import NoiseModel
-from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.sensor.estimates import TraceTest
-from testbed.sensors.catalogue import systematic_errors
-from testbed.sensors.errors.encoder_zero_error import EncoderZeroError
 
 FALSE_ALARMS = 1e-6
-"""Nominal probability of a diagnostic of a recording without any fault, all its tests together. It
-is small since noise need not be what the model of it says: of poor encoders it grows with the
-robot's inertia."""
-
-NAMED = 3
-"""Most causes, and most numbers of a cause, that are named."""
+"""Nominal probability of a diagnostic of a recording without any fault. It is small since noise
+need not be what the model of it says: of poor encoders it grows with the robot's inertia."""
 
 SMALL_CHANCE = 1e-3
 """Probability below which what is found is not taken for chance."""
-
-
-def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """What the residuals hold that is no noise.
-
-    Args:
-        estimate: With its tests, the clearest first.
-    """
-    tests = estimate.trace_tests
-    if not noisy(estimate):
-        return
-    clear = [
-        t for t in tests if t.chance * len(tests) < FALSE_ALARMS and not _too_far(t)
-    ]
-    if not clear:
-        yield from _repetition(estimate)
-        return
-    best, terms = clear[0], [test.nuisance for test in clear[:NAMED]]
-    # kinds whose effects the weight on a plate that is not level resembles
-    tilted = not {"crosstalk", "gains", "pose"}.isdisjoint(terms)
-    yield diagnose(
-        f"sensor.{best.nuisance}",
-        "the plate's residuals",
-        best.shift,
-        significance=float(-special.ndtri(max(best.chance / 2, TINY))),
-        method="external"
-        if systematic_errors()[best.nuisance].signal == "wrench"
-        else "",
-        causes=[*terms, *["level"] * tilted, "unmodelled-load"],
-        chance=chance_text(best.chance),
-        cause=phrase(best.nuisance),
-        kind=best.nuisance,
-        size=", ".join(best.largest(NAMED)),
-        parameter=best.parameter,
-    )
-
-
-def _too_far(test: TraceTest) -> bool:
-    """Whether a wrong zero is so large that it is none: columns of it hold to first order."""
-    one = test.alone if test.nuisance == EncoderZeroError.term else None
-    # largest offset of an encoder to be named [rad]: noise that wanders imitates larger ones, whose
-    # columns the parameters nearly make up
-    return one is not None and one.unit == "rad" and abs(one.value) > 0.5
 
 
 def noisy(estimate: Estimate) -> bool:
@@ -163,11 +111,17 @@ def _slow(noise: NoiseModel) -> list[bool]:
     return [memory > 0.5 * noise.span for memory in noise.memory]
 
 
-def _repetition(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Residuals that repeat with the motion, for a cause that was not tested for."""
+def repetition(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Residuals that repeat with the motion.
+
+    Args:
+        estimate: With what its noise is like.
+    """
     noise = estimate.noise
     repetition = None if noise is None else noise.repetition
     if noise is None or repetition is None or repetition.chance > FALSE_ALARMS:
+        return
+    if not noisy(estimate):
         return
     share, channel = max(zip(repetition.share, estimate.channels, strict=True))
     first = ["encoder-steps"] * noise.steps_matter

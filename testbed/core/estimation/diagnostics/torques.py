@@ -114,7 +114,8 @@ def torque_factor(
         None where the joint's torque does not say: it is mostly friction, rotor or noise, or
         it is not predicted well.
     """
-    normal, right, square = internal.normal_equations.of_channel(joint)
+    equations = internal.measured_equations or internal.normal_equations
+    normal, right, square = equations.of_channel(joint)
     count = internal.minimal.count
     own = [k for k, body in enumerate(internal.minimal.axial) if body == joint]
     if internal.drives is not None:
@@ -143,7 +144,7 @@ def torque_factor(
     # known well enough up to this relative error
     if factor**2 * alone <= 10.0 * residual or error >= 0.05**2 * alone:
         return None
-    rows = max(float(internal.normal_equations.used[joint]), 1.0)
+    rows = max(float(equations.used[joint]), 1.0)
     return TorqueFactor(
         factor, float(np.sqrt((max(residual, 0.0) / rows + error) / alone))
     )

@@ -2,7 +2,7 @@
 
 Two passes after the one of the weighted solution: residuals with columns made orthonormal, so
 that nothing is lost to the equations' condition; then replicas of the noise. Unknowns of the
-instrument, and tested columns, stand beside the robot's.
+instrument stand beside the robot's.
 """
 
 from __future__ import annotations
@@ -43,11 +43,6 @@ from testbed.core.estimation.noise.noise_model import (
     period_of,
 )
 from testbed.core.estimation.noise.replicas import Bootstrap, QuantizationSums
-from testbed.core.estimation.noise.score_tests import (
-    ScoreTest,
-    ScoreTests,
-    TestedColumns,
-)
 from testbed.core.estimation.noise.whitening import (
     NuisanceColumns,
     Products,
@@ -186,7 +181,7 @@ def averaged(alone: NoiseFit, beside: NoiseFit, weight: float) -> NoiseFit:
 
 @dataclass(frozen=True, eq=False)
 class GlsFit:
-    """Solution by generalised least squares, its covariance, noise and score tests.
+    """Solution by generalised least squares, its covariance and noise.
 
     Attributes:
         values: Of the unknowns, (p,).
@@ -195,7 +190,6 @@ class GlsFit:
         noise: Of the residuals.
         sensor_values: Values of the instrument's unknowns, (s,).
         sensor_covariance: Their covariance, (s, s).
-        score_tests: Of each kind of tested columns, with its probability in mere noise.
     """
 
     values: Array
@@ -204,7 +198,6 @@ class GlsFit:
     noise: NoiseModel
     sensor_values: Array
     sensor_covariance: Array
-    score_tests: tuple[tuple[ScoreTest, float], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,23 +327,21 @@ def generalized_least_squares(
 
 @stage("residuals and replicas of noise")
 def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
-    """Calibrate the covariance and test columns, by one pass over residuals and replicas of noise.
+    """Calibrate the covariance by one pass over residuals and replicas of noise.
 
     Args:
         solution: By generalised least squares.
         names: Of the robot's unknowns.
     """
     units, average, p = solution.units, solution.average, len(names)
-    columns = TestedColumns(solution.count + units.beside.trends, units.beside.tested)
     robot = units.basis[:p]
     residuals = ResidualSums(np.any(solution.constants, axis=1))
     known = robot[robot.any(axis=1)]
     replicas = Bootstrap(average.fit.noise, average.directions, known)
     quantization = QuantizationSums(average.fit, solution.count)
-    tests = ScoreTests(units.as_free(solution.products.tested), columns, robot)
     repetition = _repetition_sums(solution.passes, average.fit.noise)
     for rows in solution.rows():
-        for sums in (residuals, replicas, quantization, tests, repetition):
+        for sums in (residuals, replicas, quantization, repetition):
             sums.add(rows)
     factor, (by_counts, share) = replicas.result(average.fits), quantization.result()
     covariance = _covariance(solution, factor, by_counts)
@@ -361,7 +352,6 @@ def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
         noise=_noise_model(solution, names, factor, share, repetition.result()),
         sensor_values=solution.sensor_values,
         sensor_covariance=covariance[p:, p:],
-        score_tests=tests.result(),
     )
 
 
@@ -405,7 +395,7 @@ def sensor_step(
     Args:
         start: A weighted solution of the robot's unknowns.
         passes: Over all rows.
-        beside: Columns beside theirs, no tested ones among them.
+        beside: Columns beside theirs.
     """
     units, p = whitening_of(start, beside, passes.plan.layout), len(start.values)
     products = units.products(passes, start.values, 0).every

@@ -1,7 +1,7 @@
 """Rows in units in which all noise is one and the robot's columns are orthonormal.
 
-Unknowns of the instrument, and columns whose traces are looked for, stand beside the robot's;
-what is known of the unknowns leaves fewer of them free.
+Unknowns of the instrument stand beside the robot's; what is known of the unknowns leaves fewer of
+them free.
 """
 
 from __future__ import annotations
@@ -35,30 +35,20 @@ class NuisanceColumns:
 
     Attributes:
         columns: Makes them; None for none.
-        unknown: How many come first, and are estimated.
-        trends: How many come next, and are in the tests' base.
-        tested: Numbers of those that follow, kind by kind.
+        unknown: How many.
         facts: About what is still to be added to the robot's unknowns and to these; None for none.
     """
 
     columns: Columns | None = None
     unknown: int = 0
-    trends: int = 0
-    tested: tuple[int, ...] = ()
     facts: LinearConstraints | None = None
-
-    @property
-    def width(self) -> int:
-        """How many columns."""
-        return self.unknown + self.trends + sum(self.tested)
 
 
 class WhitenedRows(NamedTuple):
     """Block of regressor rows and residuals, whitened to unit noise, and as measured.
 
     Attributes:
-        columns: The robot's and those beside, (C, k, q); tested ones in some windows only.
-        tested: Whether tested columns are among them.
+        columns: The robot's and those beside, (C, k, q).
         white: Residuals of the values, (C, k).
         ones: Where a row counts, (C, k).
         measured: Residuals of the values as measured, (C, k) [N, N m].
@@ -67,7 +57,6 @@ class WhitenedRows(NamedTuple):
     """
 
     columns: Array
-    tested: bool
     white: Array
     ones: Array
     measured: Array
@@ -80,12 +69,10 @@ class Products(NamedTuple):
 
     Attributes:
         every: Of the unknowns' columns, residuals and ones, of all rows.
-        tested: Of all columns, residuals and ones, of rows with tested columns.
         noise: Of made noise of the encoders in the places of `every`; None if none is made.
     """
 
     every: LaggedProducts
-    tested: LaggedProducts
     noise: LaggedProducts | None
 
 
@@ -172,7 +159,6 @@ class Whitening:
             yield WhitenedRows(
                 columns=np.concatenate([columns[..., :-1], sensors], axis=2)
                 * root[..., None],
-                tested=sensors.shape[2] == self.beside.width,
                 white=root * residual,
                 ones=ones,
                 measured=residual,
@@ -197,28 +183,17 @@ class Whitening:
             encoders: Their noise; None where none is to be made.
         """
         plate = passes.plan.layout.model == "reaction"
-        every, tested = LaggedSums(lags), LaggedSums(lags)
+        every = LaggedSums(lags)
         # rows of joints have gaps: none is whitened
         noise = LaggedSums(lags if plate else 0)
         combined = np.column_stack([self.white, values])
         made = None if encoders is None else encoders.noisy_columns(combined)
-        whole, m = passes.plan.tests_all_windows, len(self.grown)
         for rows in self.rows(passes, values, made):
             last = np.stack([rows.white, rows.ones], axis=2)
-            if rows.tested:
-                tested.add(np.concatenate([rows.columns, last], axis=2))
-            else:
-                tested.pause()
-            if not whole:
-                every.add(np.concatenate([rows.columns[..., :m], last], axis=2))
+            every.add(np.concatenate([rows.columns, last], axis=2))
             if made is not None:
                 noise.add(self._of_noise(rows.made))
-        sums = tested.finish()
-        return Products(
-            every=sums.leading(m) if whole else every.finish(),
-            tested=sums,
-            noise=None if made is None else noise.finish(),
-        )
+        return Products(every.finish(), None if made is None else noise.finish())
 
     def _of_noise(self, noise: Array) -> Array:
         """In the places of all unknowns, of the residuals and of the ones, (C, k, p + s + 2)."""

@@ -110,7 +110,7 @@ class Surveyor:
         repeats = _repeats(position[: count + 1], measured[: count + 1])
         self._looks[first] = position[own].copy(), measured[own].copy(), repeats
         if closely:
-            noise = _each(_noise_square, position[: count + ORDER])
+            noise = _each(noise_square, position[: count + ORDER])
             self._closely[first] = noise, _each(_least_count, position[: count + 1])
 
     def survey(self) -> Survey:
@@ -150,8 +150,12 @@ def _each(number: Callable[[Array], float], position: Array) -> Array:
     return np.array([number(column) for column in np.ascontiguousarray(position.T)])
 
 
-def _noise_square(position: Array) -> float:
-    """Mean square of white noise in consecutive positions; zero where they are too few."""
+def noise_square(position: Array) -> float:
+    """Mean square of white noise in consecutive positions; zero where they are too few.
+
+    Args:
+        position: Of one encoder, (m,) [rad or m].
+    """
     rough = np.diff(position, ORDER)
     if not len(rough):
         return 0.0
@@ -273,9 +277,9 @@ class Passes:
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.done = 0
-        self.surveyor, self._tested_windows = (
+        self.surveyor, self._close_windows = (
             Surveyor(plan.source.samples),
-            plan.tested_windows,
+            plan.close_windows,
         )
         self._workspaces: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[Block]] = {}
@@ -297,20 +301,21 @@ class Passes:
         return ((columns, measured) for columns, measured in self.rows_beside(combined))
 
     def rows_beside(
-        self, combined: Array, *beside: Columns | None
+        self, combined: Array, *beside: Columns | None, gaps: bool = True
     ) -> Iterator[tuple[Array, ...]]:
         """The same with further columns between the two, (C, k, s) by each that makes some.
 
         Args:
             combined: How the unknowns' columns are combined, (p, q).
             beside: Make the further columns of a window, (C, rows, s); None makes none.
+            gaps: Whether rows that gaps leave out are zero; else they are skipped.
         """
         layout, done = self.plan.layout, 0
         basis = layout.basis @ combined
         answers = self._pass(partial(self._rows, beside))
         for window, (blocks, further) in zip(self.plan.windows(), answers, strict=True):
             # what a gap leaves out counts for nothing, but takes its time
-            if window.row > done:
+            if gaps and window.row > done:
                 widths = basis.shape[1], *(each.shape[2] for each in further)
                 gap = layout.width, window.row - done
                 yield *(np.zeros((*gap, width)) for width in widths), np.zeros(gap)
@@ -351,7 +356,7 @@ class Passes:
         check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
         signals = self.plan.signals(part, window)
         sums = self._products(signals, window)
-        closely = window.row in self._tested_windows
+        closely = window.row in self._close_windows
         self.surveyor.look(signals, window.first, self.plan.own(window), closely)
         if not sums.squares[0] < LARGEST**2:  # what is no number is not
             check_values(part.columns(), "the recording", window.first)

@@ -201,8 +201,8 @@ the filter leaves independent, or their spectrum would have an empty part; and t
 WINDOW = 32_768
 """Samples of a window, about."""
 
-TESTED_WINDOWS = 16
-"""Windows, evenly spread, in which traces of faults are looked for: nine minutes at 1 kHz."""
+CLOSE_WINDOWS = 16
+"""Windows, evenly spread, whose encoders are looked at closely: nine minutes at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -286,22 +286,17 @@ class Plan:
                 yield Window(row, rows, first, min(last + 1, end))
 
     @property
-    def tested_windows(self) -> frozenset[int]:
-        """First rows of the windows in which traces of faults are looked for: all, if few."""
+    def close_windows(self) -> frozenset[int]:
+        """First rows of the windows whose encoders are looked at closely: all, if few."""
         rows = [window.row for window in self.windows()]
-        if len(rows) > TESTED_WINDOWS:
+        if len(rows) > CLOSE_WINDOWS:
             rows = [
                 rows[k]
-                for k in np.linspace(0, len(rows) - 1, TESTED_WINDOWS)
+                for k in np.linspace(0, len(rows) - 1, CLOSE_WINDOWS)
                 .round()
                 .astype(int)
             ]
         return frozenset(rows)
-
-    @property
-    def tests_all_windows(self) -> bool:
-        """Whether they are looked for in all windows."""
-        return len(self.tested_windows) == sum(1 for _ in self.windows())
 
     def own(self, window: Window) -> int:
         """How many of a window's samples come before the next window's first."""

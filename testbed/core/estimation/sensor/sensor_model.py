@@ -2,7 +2,7 @@
 
 Their columns are first-order effects. Each iteration corrects the recording by the values so far
 and estimates what remains; the last fit has the columns beside the robot's, and its covariance
-counts them. Faults that are not estimated are tested by their columns.
+counts them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from testbed.core.estimation.noise.whitening import NuisanceColumns
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.constraints import LinearConstraints, facts
 from testbed.core.estimation.regression.normal_equations import (
-    TINY,
     NormalEquations,
     standard_deviations,
 )
@@ -29,12 +28,7 @@ from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.solvers import Fit
 from testbed.core.estimation.regression.windows import Plan
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
-from testbed.core.estimation.sensor.estimates import (
-    NEARLY,
-    NuisanceEstimate,
-    TraceTest,
-    in_order,
-)
+from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import (
     Columns,
@@ -47,10 +41,9 @@ from testbed.core.estimation.sensor.unknowns import (
 from testbed.core.estimation.settings import Settings
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import candidate_errors, estimable_errors
+from testbed.sensors.catalogue import estimable_errors
 from testbed.sensors.corrected import Corrected
 from testbed.sensors.errors.plate_bias import PlateBias
-from testbed.sensors.errors.plate_drift import PlateDrift
 from testbed.sensors.errors.plate_tare import PlateTare
 from testbed.sensors.systematic_error import SystematicError
 
@@ -78,14 +71,12 @@ class LinearFit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SensorModel:
-    """Calibration parameters of the instruments that are estimated, tested or known.
+    """Calibration parameters of the instruments that are estimated or known.
 
     Attributes:
         settings: How signals are treated.
         unknowns: Which are estimated.
         nonidentifiable: Those asked for that are collinear with others.
-        tested: Faults whose columns are tested.
-        trends: Trends of the channels, in the tests' regression.
         known: What is known of the robot's unknowns and of those that are estimated.
         corrected: Names of those that a calibrated plate has corrected: their covariance counts.
     """
@@ -93,8 +84,6 @@ class SensorModel:
     settings: Settings
     unknowns: Unknowns
     nonidentifiable: tuple[NonIdentifiable, ...]
-    tested: Unknowns
-    trends: Unknowns
     known: LinearConstraints
     corrected: frozenset[str] = frozenset()
 
@@ -105,8 +94,7 @@ class SensorModel:
         """Which calibration parameters are identifiable beside a robot's, before any data.
 
         Args:
-            problem: Robot and recording. Its settings say which nuisances are asked for; tests need
-                coloured noise and filtered rows.
+            problem: Robot and recording. Its settings say which nuisances are asked for.
             doubt: About the plate by which the recording was corrected.
         """
         settings, names, tree = problem.settings, problem.names, problem.layout.tree
@@ -130,19 +118,10 @@ class SensorModel:
             known = doubt.added(known, neutral, (*names, *every.names))
         unknowns, nonidentifiable = identifiable_subset(problem, asked, known)
         _check_whole(every, nonidentifiable, settings)
-        tests = plate and settings.row_low_pass is not None
-        covered = {term for error in asked for term in (error.term, *error.contains)}
-        others = [
-            error for error in candidate_errors() if tests and error.term not in covered
-        ]
         return cls(
             settings=settings,
             unknowns=unknowns,
             nonidentifiable=nonidentifiable,
-            tested=unknowns_of(tree, others),
-            trends=unknowns_of(
-                tree, [PlateDrift] if tests and PlateDrift not in asked else []
-            ),
             known=known.about(
                 [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
             ),
@@ -160,20 +139,16 @@ class SensorModel:
             for n in i.by
         )
 
-    def columns(
-        self, plan: Plan, values: Array, numbers: Array, tests: bool = True
-    ) -> NuisanceColumns:
+    def columns(self, plan: Plan, values: Array, numbers: Array) -> NuisanceColumns:
         """Columns to first order around an estimate.
 
         Args:
             plan: The rows.
             values: Minimal parameters, (p,).
             numbers: Of the instrument, by which the recording was corrected, (s,).
-            tests: Whether those of tested faults are among them.
         """
-        shown = (self.unknowns, self.trends, self.tested) if tests else (self.unknowns,)
         known = self.known.around(np.concatenate([values, numbers]))
-        if not any(each.kept for each in shown):
+        if not self.unknowns.kept:
             return NuisanceColumns(facts=known)
         cutoff = self.settings.row_low_pass
         assert cutoff is not None, (
@@ -188,15 +163,11 @@ class SensorModel:
                 plan,
                 filtered,
                 values,
-                [each for each in shown if each.kept],
                 self.unknowns,
                 self.unknowns.unmixing(numbers),
-                always=int(bool(self.unknowns.kept)),
                 unfolded=row_filter(plan, cutoff, exact=exact, noisy=noisy),
             ),
             unknown=len(self.unknowns.kept),
-            trends=len(self.trends.kept) if tests else 0,
-            tested=self.tested.counts if tests else (),
             facts=known,
         )
 
@@ -255,39 +226,6 @@ class SensorModel:
             yield diagnose("plate.uncertain", few(result.weak), verb=verb, share=OWN)
         if not result.converged:
             yield diagnose("plate.not-converged", value=ROUNDS)
-
-    def tests(self, problem: Problem, fit: GlsFit) -> tuple[TraceTest, ...]:
-        """What the residuals hold of each kind of fault, the clearest first.
-
-        Args:
-            problem: Robot and recording.
-            fit: The last fit.
-        """
-        sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), TINY))
-        tests = []
-        for nuisance, (trace, chance) in zip(
-            self.tested.nuisances, fit.score_tests, strict=False
-        ):
-            moved = np.abs(trace.shift) / sigma
-            coefficients, one = nuisance.coefficients(problem.layout.tree), trace.alone
-            first, clearness = coefficients[one.place], trace.square - 2 * trace.count
-            named = NuisanceEstimate(
-                nuisance.term, first.name, first.unit, one.size, one.sigma
-            )
-            tests.append(
-                TraceTest(
-                    nuisance=nuisance.term,
-                    chance=chance,
-                    clearness=clearness,
-                    alone=named if one.square - 2 > NEARLY * clearness > 0 else None,
-                    names=tuple(each.name for each in coefficients),
-                    units=tuple(each.unit for each in coefficients),
-                    size=tuple(float(x) for x in trace.size),
-                    shift=float(moved.max()),
-                    parameter=problem.names[int(moved.argmax())],
-                )
-            )
-        return in_order(tests)
 
 
 def _check_cut(tree: Tree, asked: Sequence[type[SystematicError]]) -> None:
@@ -353,7 +291,7 @@ def gauss_newton(
         return GaussNewtonResult(solution, values, True, weak)
     for _ in range(ROUNDS):
         plan = solution.passes.plan
-        columns = model.columns(plan, solution.fit.values, values, tests=False)
+        columns = model.columns(plan, solution.fit.values, values)
         step, sigma, share = sensor_step(solution.fit, solution.passes, columns)
         # with a whole matrix all numbers are correlated, and sigma holds all the same: measured
         if not any(error.jointly for error in model.unknowns.nuisances):

@@ -102,10 +102,8 @@ class Columns:
         plan: Plan,
         filtered: RowFilter,
         values: Array,
-        unknowns: Sequence[Unknowns],
-        estimated: Unknowns | None = None,
+        unknowns: Unknowns,
         unmixing: Array | None = None,
-        always: int | None = None,
         unfolded: RowFilter | None = None,
     ) -> None:
         """To first order around an estimate.
@@ -114,29 +112,21 @@ class Columns:
             plan: The rows.
             filtered: The filter that they pass.
             values: Minimal parameters, (p,).
-            unknowns: Whose columns, one after the other.
-            estimated: Those of them that are to be estimated.
+            unknowns: Whose columns.
             unmixing: Inverse of the mixture of the plate's channels that was taken back, (6, 6).
-            always: How many of `unknowns` have columns in all windows; default all. The others
-                have them in those that are looked at.
             unfolded: At more instants, for nuisances that need them; default the same filter.
         """
         self._unfolded = unfolded or filtered
-        self._always, self._tested_windows = always, plan.tested_windows
         self._unmixing = unmixing
-        self._estimated = estimated
-        self._plan, self._filtered, self._unknowns = plan, filtered, tuple(unknowns)
+        self._plan, self._filtered, self._unknowns = plan, filtered, unknowns
         layout = plan.layout
         self._theta = np.asarray(layout.theta @ (layout.basis @ values))
-        part = len(self._tested_windows) / len(list(plan.windows()))
-        counts = [len(each.kept) for each in unknowns]
-        numbers = sum(counts[:always]) + part * sum(counts[len(counts[:always]) :])
         self._kept: dict[int, Array] = {}
         # bytes of columns that are kept from one pass to the next
-        self._keeps = plan.rows * 6 * numbers * 8 < 64e6
+        self._keeps = plan.rows * 6 * len(unknowns.kept) * 8 < 64e6
 
     def __call__(self, signals: Signals, first: int) -> Array:
-        """Of a window's rows, (6, rows, s); fewer where it is not looked at.
+        """Of a window's rows, (6, rows, s).
 
         Args:
             signals: The window's.
@@ -150,12 +140,7 @@ class Columns:
         return made
 
     def _made(self, signals: Signals, first: int) -> Array:
-        shown = self._unknowns[
-            : None if first in self._tested_windows else self._always
-        ]
-        if not shown:
-            return np.zeros((6, signals.number, 0))
-        nuisances = [n for unknowns in shown for n in unknowns.nuisances]
+        nuisances = self._unknowns.nuisances
         found = {
             finer: predict_wrench(
                 self._plan,
@@ -166,20 +151,15 @@ class Columns:
             )
             for finer in {n.unfolded for n in nuisances}
         }
-        blocks = []
-        for unknowns in shown:
-            own = unknowns is self._estimated
-            made = [self._effect(n, found[n.unfolded], own) for n in unknowns.nuisances]
-            blocks.append(np.concatenate(made, axis=2)[..., list(unknowns.kept)])
-        return np.concatenate(blocks, axis=2).transpose(1, 0, 2)
+        made = [self._effect(n, found[n.unfolded]) for n in nuisances]
+        kept = np.concatenate(made, axis=2)[..., list(self._unknowns.kept)]
+        return kept.transpose(1, 0, 2)
 
     def _effect(
-        self, error: type[SystematicError], predicted: PredictedWrench, estimated: bool
+        self, error: type[SystematicError], predicted: PredictedWrench
     ) -> Array:
         """Columns of a sensor error, mixtures of the channels taken back."""
-        columns = (
-            error.measured_columns(predicted) if estimated else error.columns(predicted)
-        )
+        columns = error.measured_columns(predicted)
         if not error.added or self._unmixing is None:
             return columns
         return self._unmixing @ columns

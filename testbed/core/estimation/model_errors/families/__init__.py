@@ -1,0 +1,1 @@
+"""Families of model errors, one file each."""

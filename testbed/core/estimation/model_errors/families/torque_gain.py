@@ -1,0 +1,27 @@
+"""Torques on wrong scales."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.model_errors.family import JointFamily
+from testbed.core.estimation.model_errors.linearization import Linearization
+from testbed.core.robot.tree import Tree
+
+
+class TorqueGain(JointFamily):
+    """Torques on wrong scales."""
+
+    kind = "torque_gain"
+    label = "wrong torque constants"
+    meaning = "torques on a wrong scale at single joints"
+    remedy = "measure the torque constants with a known load, or by a force plate: `testbed drives`"
+
+    def numbers(self, tree: Tree) -> Sequence[tuple[str, str, float]]:
+        """Relative errors of the torques."""
+        return [(f"gain/{name}", "", 0.05) for name in tree.names]
+
+    def torques(self, at: Linearization) -> Array:
+        """Torques, (m, n, 1) [N m or N]."""
+        return 0.05 * at.total_torque[..., None]

@@ -1,0 +1,29 @@
+"""Torques that are late."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.model_errors.family import JointFamily
+from testbed.core.estimation.model_errors.linearization import Linearization
+from testbed.core.robot.tree import Tree
+
+
+class TorqueLag(JointFamily):
+    """Torques that are late."""
+
+    kind = "torque_lag"
+    label = "torques that are late"
+    meaning = "a filter or a bus delays the torques"
+    remedy = "state the delay where the log is imported ([torque] delay), or switch the filter off"
+
+    def numbers(self, tree: Tree) -> Sequence[tuple[str, str, float]]:
+        """Delays of the torques; negative where the positions are late."""
+        return [(f"delay/{name}", "s", 0.005) for name in tree.names]
+
+    def torques(self, at: Linearization) -> Array:
+        """Derivatives of the torques in time, (m, n, 1) [N m or N]."""
+        return np.asarray(-0.005 * at.rate(at.total_torque)[..., None])

@@ -1,0 +1,24 @@
+"""Constant torques of the joints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.model_errors.family import JointFamily
+from testbed.core.estimation.model_errors.linearization import Linearization
+
+
+class TorqueOffset(JointFamily):
+    """Constant torques of the joints."""
+
+    kind = "torque_offset"
+    label = "offsets of the torques"
+    meaning = (
+        "an amplifier with a zero error, or a spring or weight with a constant torque"
+    )
+    remedy = 'estimate them: --terms with "offset"'
+
+    def torques(self, at: Linearization) -> Array:
+        """Constants, (m, n, 1) [N m or N]."""
+        return 0.02 * at.sizes.torque[:, None] * np.ones((*at.joint_torque.shape, 1))
