@@ -19,7 +19,6 @@ from testbed.applications.validate import motion_in
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import encode, json_text
 from testbed.core.base.errors import SettingsError, TestbedError
-from testbed.core.estimation.diagnostics.diagnosis import THRESHOLDS
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.estimation.influence import by_influence, influence
 from testbed.core.estimation.known import parse_known
@@ -37,7 +36,6 @@ from testbed.core.estimation.noise.lagged_products import (
 from testbed.core.estimation.noise.noise_model import (
     PeriodicResidual,
     PeriodicSums,
-    lateness,
     period_of,
 )
 from testbed.core.estimation.noise.whitening import WhitenedRows
@@ -243,23 +241,6 @@ def test_the_period_of_a_motion_is_found(rng: Rng, period: int, joints: int) -> 
     wandering = np.cumsum(rng.normal(size=(3000, 2)), axis=0)
     for none in (seen[: int(1.4 * period)], wandering, turning[:3], np.ones((20, 2))):
         assert period_of(none) is None
-
-
-@pytest.mark.parametrize(("gaps", "slow"), [(0.1, 0.0), (0.0, 0.6)])
-def test_chance_makes_no_delays(gaps: float, slow: float) -> None:
-    """Nor do rows that were dropped, or noise that goes on: a good recording would be shifted."""
-    noise = Autoregression(np.full((4, 1), slow), np.full(4, 0.05 * np.sqrt(1 - slow**2)))
-    unknown = np.eye(5)
-    unknown[:3, 3] = -TRUTH
-    z = []
-    for seed in range(30):
-        kept = np.random.default_rng(seed).random((4, 600, 1)) >= gaps
-        left = products(problem(seed, noise, 600) * kept).combined(unknown)
-        late = lateness(left, weighted_fits(left)[0], TRUTH, 1.0, 10.0)
-        assert late is not None
-        z.append(late.z)
-    assert 0.6 < np.std(z) < 1.3
-    assert np.max(np.abs(z)) < THRESHOLDS.delay_z
 
 
 @pytest.mark.slow

@@ -129,7 +129,8 @@ def two_sources(folder: Path, tree: tb.Tree, late: float, skew: float) -> Path:
 
 def error(tree: tb.Tree, recording: tb.Recording) -> float:
     """Rms of the external estimate's errors, each in parts of its unit's largest parameters."""
-    estimate = tb.identify(tree, recording, "external")
+    settings = tb.Settings(model_errors=False)  # which would take a wrong clock out
+    estimate = tb.identify(tree, recording, "external", settings=settings)
     values = tb.fit(estimate.normal_equations).values  # plain weighted least squares
     true = estimate.minimal.values(tb.barycentric(tree))
     units = np.array(estimate.units)

@@ -31,8 +31,8 @@ from tests.helpers.runs import robot
 pytestmark = pytest.mark.slow
 
 SECTIONS = {
-    "ur5": "warnings errors parameters prediction spectra friction instrument map settings",
-    "gantry": "warnings errors parameters prediction spectra friction instrument map settings",
+    "ur5": "warnings errors parameters prediction spectra friction map settings",
+    "gantry": "warnings errors parameters prediction spectra friction map settings",
     "plate": "warnings errors parameters prediction spectra friction drives "
     "instrument map settings",
     "bodies": "warnings errors parameters claims prediction spectra friction bodies instrument "

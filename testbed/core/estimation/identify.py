@@ -30,6 +30,7 @@ from testbed.core.estimation.diagnostics.setup import (
 )
 from testbed.core.estimation.estimate import Estimate, Method, channel_units, sensor_of
 from testbed.core.estimation.model_errors.model_errors import (
+    ModelErrors,
     WithoutModelErrors,
     find_model_errors,
 )
@@ -157,25 +158,31 @@ def _beside_model_errors(
     if not settings.model_errors or settings.row_low_pass is None:
         return problem, estimate
     causes = [d for d in estimate.diagnostics if not messages()[d.code].symptom]
-    gross = any(d.level == "error" and d.code not in EXPLAINED for d in causes)
+    gross = any(d.level == "error" and d.code not in CONSTANT for d in causes)
     if gross or not noisy(estimate):
         return problem, estimate
     # of signals as measured
     faults = [d for d in causes if d.code.startswith(AS_MEASURED)]
     source = corrected(problem.source, problem.tree, estimate.sensor_errors)
+    offset = estimate.noise is not None and estimate.noise.bias_weight > 0.5
+    beside = (*settings.nuisances, *[PlateBias.term] * offset)
+    find = partial(find_model_errors, problem, source, estimated=beside, prior=prior)
     with one_blas_thread():
-        offset = estimate.noise is not None and estimate.noise.bias_weight > 0.5
-        beside = (*settings.nuisances, *[PlateBias.term] * offset)
-        errors = find_model_errors(problem, source, estimate.values, beside, prior)
+        errors, measured, given = find(estimate.values), None, problem
         if errors is None:
             return problem, estimate
-        measured = None
         if errors.lasting is not None:
             measured = estimate.normal_equations
-            source = WithoutModelErrors(
-                problem, problem.source, errors.values, errors.lasting
-            )
-            problem = replace(problem, source=source)
+            # again about what the first correction leaves
+            for _ in range(LINEARIZATIONS):
+                problem = _without(given, errors)
+                estimate = _estimate_of(problem, doubt)
+                kinds = [each.family for each in errors.each]
+                again = find(estimate.values, among=kinds)
+                if again is None or again.taken != errors.taken:
+                    break
+                errors = again
+            problem = _without(given, errors)
             estimate = _estimate_of(problem, doubt)
         root = errors.effect.root(estimate.covariance)
     estimate = replace(
@@ -190,8 +197,18 @@ def _beside_model_errors(
     return problem, replace(estimate, diagnostics=ordered(every))
 
 
-EXPLAINED = {"torque.delay", "plate.tare"}
-"""Codes of causes that model errors may explain, or that are constant."""
+def _without(problem: Problem, errors: ModelErrors) -> Problem:
+    """Problem whose recording has no model errors that are to be taken out."""
+    assert errors.lasting is not None
+    source = WithoutModelErrors(problem, problem.source, errors.values, errors.lasting)
+    return replace(problem, source=source)
+
+
+LINEARIZATIONS = 1
+"""Times that model errors are estimated anew about the corrected estimate."""
+
+CONSTANT = {"plate.tare"}
+"""Codes of causes that change no motion's forces."""
 
 
 AS_MEASURED = ("channel.", "encoder.", "torque.effort")

@@ -7,7 +7,7 @@ file: data are compared with themselves, with limits, and with what rigid bodies
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from testbed.core.base.stages import stage
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.diagnostics.residuals import (
     noise_diagnostics,
-    noisy,
     repetition,
 )
 from testbed.core.estimation.diagnostics.rigid_bodies import SIGMAS, rigid_body_test
@@ -26,10 +25,7 @@ from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.constraints import total_mass
 from testbed.core.estimation.regression.passes import HELD, Repeats, Survey
-from testbed.core.estimation.regression.solvers import minimum_norm
 from testbed.core.recordings.views import pedestal_said
-from testbed.core.robot.friction import ROTOR
-from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Joint, Tree
 
@@ -50,7 +46,6 @@ class Thresholds:
         noise_share: Of the weight's moment at the robot's reach, that noise may be.
         correlation: Squared, of a signal and a prediction that differ by a factor only.
         factor_error: Difference of that factor from one, from which it is the cause.
-        delay_z: Sigmas of a delay that is not chance: one in 15000 is.
         values_an_unknown: Fewest for which standard deviations hold.
         outside_range: Part of a joint's range by which encoders may leave it.
         effort: Times the motor's greatest effort that no torque reaches.
@@ -71,7 +66,6 @@ class Thresholds:
     noise_share: float = 0.01
     correlation: float = 0.9
     factor_error: float = 0.1
-    delay_z: float = 4.0
     values_an_unknown: float = 2
     outside_range: float = 0.02
     effort: float = 2.0
@@ -119,7 +113,6 @@ def diagnostics(
     else:
         faults += _efforts(tree, survey.measured)
         negative += _friction(estimate)
-        faults += _late(estimate, problem)
     faults += [*negative, *repetition(estimate), *_residuals(estimate, tree)]
     if not negative:
         faults += _impossible(estimate)
@@ -387,42 +380,6 @@ def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
                 method="internal",
                 unit=term.unit,
             )
-
-
-def _late(estimate: Estimate, problem: Problem) -> Iterator[Diagnostic]:
-    """Torques that follow the motion, or lead it: by rotors, where those explain more of them."""
-    delay = None if estimate.noise is None else estimate.noise.lateness
-    if delay is None or abs(delay.z) < THRESHOLDS.delay_z or not noisy(estimate):
-        return
-    missing = delay.z < 0 and ROTOR not in problem.settings.laws
-    rotors = missing and _score(problem, estimate, ROTOR) > delay.z**2
-    first = "late-torques" if delay.z > 0 else "encoder_delays"
-    causes = (first, *[ROTOR.kind] * missing, "friction-terms", "sampling")
-    stated = diagnose(
-        "torque.delay",
-        "the joint torques",
-        delay.delay,
-        significance=abs(delay.z),
-        method="internal",
-        causes=dict.fromkeys([*[ROTOR.kind] * rotors, *causes]),
-        direction="lag behind" if delay.z > 0 else "lead",
-        delay=1e3 * abs(delay.delay),
-    )
-    remedy = f"add '{ROTOR.kind}' to identification.terms" if rotors else stated.remedy
-    yield replace(stated, remedy=remedy)
-
-
-def _score(problem: Problem, estimate: Estimate, law: JointLaw) -> float:
-    """Score test of a law at all joints: a chi-square where the torques do not hold it."""
-    beside = problem.with_settings(terms=(*problem.settings.words, law))
-    equations, weights = (
-        beside.equations(beside.passes(1, whole=True)),
-        estimate.residual**-2.0,
-    )
-    matrix = equations.matrix(weights)
-    values = np.pad(estimate.values, (0, len(matrix) - len(estimate.values)))
-    gradient = equations.vector(weights) - matrix @ values
-    return float(gradient @ minimum_norm(matrix, gradient))
 
 
 def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic]:

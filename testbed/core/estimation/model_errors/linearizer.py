@@ -24,9 +24,15 @@ from testbed.core.estimation.regression.windows import (
 )
 from testbed.core.kernel.numpy_engine import motion_of
 from testbed.core.kernel.records import Signals
-from testbed.core.parameters.symbols import standard, to_barycentric
+from testbed.core.parameters.symbols import to_barycentric
 from testbed.core.robot.shafts import shares
 from testbed.sensors.predicted_wrench import RowFilter
+
+LENGTH = 0.2
+"""Typical of a body [m]."""
+
+TYPICAL = np.array([1.0, *[LENGTH] * 3, *[LENGTH**2] * 6])
+"""Standard parameters of a body beside its mass."""
 
 FINE = 160.0
 """Instants a second at which positions are differentiated, at least: fewer fold noise."""
@@ -146,15 +152,15 @@ class Linearizer:
 
     @cached_property
     def _bodies(self) -> Array:
-        """Barycentric parameters, (n, 10), that have the minimal ones and are else the file's.
+        """Barycentric parameters, (n, 10), that have the minimal ones and are small else.
 
         By another frame of a joint, those that no motion shows become sums with others.
         """
-        tree, minimal = self.problem.tree, self.problem.minimal
-        file, forms = standard(tree), minimal.standard_matrix
-        lacking = self.values[: minimal.count] - forms @ file.ravel()
-        more = np.linalg.lstsq(forms, lacking, rcond=None)[0]
-        return np.asarray(to_barycentric(tree, file + more.reshape(file.shape)))
+        minimal, tree = self.problem.minimal, self.problem.tree
+        forms = minimal.standard_matrix * np.tile(TYPICAL, tree.n)
+        values = self.values[: minimal.count]
+        least = np.linalg.lstsq(forms, values, rcond=None)[0].reshape(tree.n, 10)
+        return np.asarray(to_barycentric(tree, TYPICAL * least))
 
     def _joint_torques(self, motion: Motion) -> Array:
         """Torques of the joints' own terms, (m, n) [N m or N]; not those by other signals."""

@@ -166,6 +166,7 @@ def find_model_errors(
     values: Array,
     estimated: Collection[str] = (),
     prior: Gaussian | None = None,
+    among: Collection[str] | None = None,
 ) -> ModelErrors | None:
     """Model errors that the residuals of an estimate show; None for none.
 
@@ -175,6 +176,7 @@ def find_model_errors(
         values: Of the unknowns, by the estimate, (p,).
         estimated: Terms of sensors' errors that are estimated.
         prior: Of the first unknowns, before the data; None for none.
+        among: Kinds that are sought; default all.
     """
     known = _prior_rows(prior, len(values))
     rows = error_rows(problem, source, values, known)
@@ -183,6 +185,7 @@ def find_model_errors(
         for family in model_error_families()
         if problem.method in family.methods
         and family.kind not in estimated
+        and (among is None or family.kind in among)
         and family.applies(rows.linearizations[0])
     ]
     measured = rows.whitened(rows.measured[..., None])[..., 0]

@@ -38,8 +38,6 @@ from testbed.core.estimation.noise.noise_model import (
     NoiseModel,
     PeriodicResidual,
     PeriodicSums,
-    TimeDelay,
-    lateness,
     period_of,
 )
 from testbed.core.estimation.noise.replicas import Bootstrap, QuantizationSums
@@ -57,7 +55,6 @@ from testbed.core.estimation.regression.normal_equations import (
     standard_deviations,
 )
 from testbed.core.estimation.regression.passes import Passes
-from testbed.core.estimation.regression.windows import Plan
 
 
 def constants(products: LaggedProducts) -> tuple[Array, Array]:
@@ -380,7 +377,6 @@ def _noise_model(
         least_counts=solution.encoders.least_counts,
         by_counts=share,
         repetition=repetition,
-        lateness=_lateness(solution, factor, plan),
     )
 
 
@@ -408,21 +404,6 @@ def sensor_step(
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
     share[~basis.any(axis=1)] = 1.0  # known
     return (units.fixed + units.basis @ fit.values)[own], np.sqrt(variance), share
-
-
-def _lateness(solution: GlsSolution, factor: float, plan: Plan) -> TimeDelay | None:
-    """Of joint torques; of the plate, there are tests that are more sensitive."""
-    units = solution.units
-    if (
-        plan.layout.model == "reaction"
-        or units.free is not None
-        or len(plan.weights) == 1
-    ):
-        return None
-    start = np.asarray(np.linalg.solve(units.white, solution.start), dtype=np.float64)
-    return lateness(
-        solution.products.every, solution.average.fit, start, factor, plan.rate
-    )
 
 
 def _covariance(solution: GlsSolution, factor: float, by_counts: Array) -> Array:

@@ -74,46 +74,26 @@ Fits = Callable[[LaggedProducts, int | None], list[NoiseFit]]
 """A fit for each response; the order of the noise is chosen where None is given."""
 
 
-def whitened_fits(
-    given: LaggedProducts,
-    order: int | None = None,
-    *,
-    quick: bool = False,
-    basis: Array | None = None,
-) -> list[NoiseFit]:
+def whitened_fits(given: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
     """Generalised least squares: rows without gaps.
 
     Args:
         given: Products of unknowns' columns, residuals and ones.
         order: Of the noise; None for what is best for the first residuals.
-        quick: Whether a turn's weights go on from those of the turn before, with one step: chances
-            of tests differ by a thousandth.
-        basis: How the columns make up those that are fitted, (q, r); None for the columns as they
-            are. Only products of lags that are needed are combined.
     """
-
-    def up_to(lag: int) -> LaggedProducts:
-        return given.up_to(lag) if basis is None else given.up_to(lag).combined(basis)
-
-    now = up_to(0)
+    now = given.up_to(0)
     weighted = _weighted(now, given.rows)
     # by residuals as they are: of coloured noise weights alone take less
     if order is None:
-        highest, residuals = (
-            _highest(given, now.unknowns),
-            _of_residuals(now, weighted.values),
-        )
-        residuals = given.moments(
-            _squares(residuals if basis is None else residuals @ basis.T), highest
-        )[0]
-        order = highest and best_order(residuals, given.after(highest), highest)
-    given = up_to(order)
+        highest = _highest(given, now.unknowns)
+        residuals = _squares(_of_residuals(now, weighted.values))
+        moments = given.moments(residuals, highest)[0]
+        order = highest and best_order(moments, given.after(highest), highest)
+    given = given.up_to(order)
     # times that noise and unknowns are found in turns: what is left to go is 1 % of sigma
     for _ in range(4 if order else 1):
         coefficients = fit(_moments(given, weighted, order), order)
-        weighted = _weighted(
-            given, given.after(order), coefficients, weighted if quick else None
-        )
+        weighted = _weighted(given, given.after(order), coefficients)
     noises = map(Autoregression, coefficients, weighted.spread)
     each = zip(weighted.values, weighted.inverse, noises, strict=True)
     return [
@@ -194,7 +174,6 @@ def _weighted(
     given: LaggedProducts,
     rows: Array | int,
     coefficients: Array | None = None,
-    before: _Weighted | None = None,
 ) -> _Weighted:
     """Unknowns and noise from products of the same rows.
 
@@ -202,7 +181,6 @@ def _weighted(
         given: The products.
         rows: How many, (C,) or one number.
         coefficients: Of the autoregressions that whiten them, (R, C, P); None for none.
-        before: What is to be improved by one step; None for all steps, from values of zero.
     """
     m, trials, channels = given.unknowns, given.responses, given.products.shape[1]
     if coefficients is None:
@@ -212,12 +190,10 @@ def _weighted(
         np.asarray(rows) - coefficients.shape[2],
     )
     values, taken = np.zeros((trials, m)), np.full((trials, channels), m / channels)
-    if before is not None:
-        values, taken = before.values, before.taken
     inverses = np.zeros((trials, *given.products.shape[2:]))
     spread = _spread(white.squares(_of_residuals(given, values)), free - taken)
     # times that the channels' weights are found anew from the residuals
-    for _ in range(3 if before is None else 1):
+    for _ in range(3):
         inverses[:, :m, :m], values = _solutions(white.sums(spread**-2.0), m)
         taken = white.traces(inverses) / spread**2
         spread = _spread(white.squares(_of_residuals(given, values)), free - taken)

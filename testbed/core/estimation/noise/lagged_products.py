@@ -204,16 +204,6 @@ class LaggedProducts:
         first, last = self.first[:, :, :lag], self.last[:, :, self.lags - lag :]
         return replace(self, products=self.products[: lag + 1], first=first, last=last)
 
-    def leading(self, count: int) -> LaggedProducts:
-        """Of the first columns, and of the responses and ones.
-
-        Args:
-            count: How many come first.
-        """
-        if count == self.unknowns:
-            return self
-        return self.columns(np.r_[:count, self.unknowns : self.products.shape[2]])
-
     def columns(self, which: Ints) -> LaggedProducts:
         """Copy of some of the columns, in any order.
 

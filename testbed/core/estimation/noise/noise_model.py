@@ -8,14 +8,11 @@ import numpy as np
 from scipy import special
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.noise.fits import LEAST, NoiseFit
 from testbed.core.estimation.noise.lagged_products import (
     Autoregression,
-    LaggedProducts,
     prediction_errors,
 )
 from testbed.core.estimation.noise.whitening import WhitenedRows
-from testbed.core.estimation.regression.normal_equations import scaled_solve
 
 ALIKE = 1e-3
 """Mean square of the difference to one period before, relative to that of far instants."""
@@ -138,101 +135,6 @@ class PeriodicSums:
         return PeriodicResidual(self._period, tuple(float(x) for x in share), chance)
 
 
-@dataclass(frozen=True)
-class TimeDelay:
-    """By how much all channels are late together.
-
-    Attributes:
-        delay: [s]; less than it is where many rows were dropped.
-        sigma: Its standard deviation.
-    """
-
-    delay: float
-    sigma: float
-
-    @property
-    def z(self) -> float:
-        """In sigmas."""
-        return self.delay / self.sigma
-
-
-def lateness(
-    given: LaggedProducts, fit: NoiseFit, start: Array, factor: float, rate: float
-) -> TimeDelay | None:
-    """Delay of the residuals against the prediction; None where there are too few rows to say.
-
-    Channels weigh by the residuals that they have, of which a model of the noise may explain any
-    part. Sigma counts how residuals and slopes hang together over neighbouring rows.
-
-    Args:
-        given: Products of unknowns' columns, residuals of a first solution, and ones, two lags.
-        fit: Correction of the first solution, (m,).
-        start: The first solution, (m,).
-        factor: By which sigma is larger than a formula's.
-        rate: Rows a second [Hz].
-    """
-    if given.lags < 2:
-        return None
-    m, (now, one) = len(start), given.products[:2]
-    ones = np.maximum(now[:, -1, -1], 1.0)
-    # to predictions about their mean, and to residuals
-    maps = np.zeros((len(ones), m + 2, 2))
-    maps[:, :m] = np.column_stack([start + fit.values, -fit.values])
-    maps[:, m, 1] = 1.0
-    maps[:, -1, 0] = -(now[:, -1] * maps[..., 0]).sum(axis=1) / ones
-    both = given.combined(maps).products
-    # -K ... K rows apart, (., C, 2, 2)
-    apart = np.concatenate([both[:0:-1].swapaxes(2, 3), both])
-    slopes = -_half_differences(_half_differences(apart[..., 0, 0])) * rate**2
-    across = _half_differences(apart[..., 1, 0])[1:-1] * rate
-    # with each column
-    slope = ((one.swapaxes(1, 2) - one) @ maps[..., :1])[..., 0] * rate / 2
-    squares = slopes[len(slopes) // 2]
-    late = TimeDelay(0.0, 0.0)
-    # times that the delay and the noise beside it are found in turns
-    for _ in range(3):  # residuals without the delay are noise
-        rest = (
-            apart[2:-2, :, 1, 1]
-            + late.delay * (across + across[::-1])
-            + late.delay**2 * slopes
-        )
-        noise = rest / ones
-        weights = 1 / np.maximum(noise[len(noise) // 2], LEAST**2)
-        late = _fitted(now[:, :m, :m], slope, squares, maps[0, :, 1], weights)
-        if not np.isfinite(late.sigma):
-            return None
-    alike = float(weights**2 @ (slopes * noise).sum(axis=0))
-    alike /= float(weights @ squares)
-    return TimeDelay(late.delay, factor * late.sigma * float(np.sqrt(max(alike, 1.0))))
-
-
-def _half_differences(sums: Array) -> Array:
-    """Sums with the derivative of the earlier signal, times the time between rows."""
-    return (sums[:-2] - sums[2:]) / 2
-
-
-def _fitted(
-    columns: Array, slope: Array, squares: Array, residual: Array, weights: Array
-) -> TimeDelay:
-    """The delay beside the unknowns by weighted least squares; sigma is infinite for none.
-
-    Args:
-        columns: Products of the unknowns' columns, (C, m, m).
-        slope: Of slopes with every column, (C, m + 2).
-        squares: Of slopes with themselves, (C,).
-        residual: What of the columns the residuals are, (m + 2,).
-        weights: (C,).
-    """
-    shared = weights @ slope[:, : columns.shape[1]]
-    normal = np.tensordot(weights, columns, 1)
-    alone = float(weights @ squares - shared @ scaled_solve(normal, shared))
-    if alone <= 0:
-        return TimeDelay(0.0, np.inf)
-    return TimeDelay(
-        -float(weights @ slope @ residual) / alone, 1 / float(np.sqrt(alone))
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
     """The noise that an estimate was made under.
@@ -253,7 +155,6 @@ class NoiseModel:
             (n,) [rad or m]; empty if there are none.
         by_counts: Part of the whitened residuals that such counts account for.
         repetition: Whether the residuals repeat with the motion; None where that is unknown.
-        lateness: Of joint torques against the encoders; None of a plate.
     """
 
     order: int
@@ -269,7 +170,6 @@ class NoiseModel:
     least_counts: tuple[float, ...] = ()
     by_counts: float = 0.0
     repetition: PeriodicResidual | None = None
-    lateness: TimeDelay | None = None
 
     @property
     def steps_matter(self) -> bool:

@@ -13,7 +13,7 @@ class FrictionLaw(JointFamily):
     """Friction that is not proportional to sign and speed."""
 
     kind = "friction_law"
-    label = "another friction law"
+    label = "another friction model"
     meaning = "friction that falls at low speed or grows faster than the speed"
     remedy = "let held-out data choose the terms: --terms auto"
     is_term = True
