@@ -157,12 +157,10 @@ def _beside_model_errors(
     settings = problem.settings
     if not settings.model_errors or settings.row_low_pass is None:
         return problem, estimate
-    causes = [d for d in estimate.diagnostics if not messages()[d.code].symptom]
-    gross = any(d.level == "error" and d.code not in CONSTANT for d in causes)
-    if gross or not noisy(estimate):
+    if _is_gross(estimate) or not noisy(estimate):
         return problem, estimate
     # of signals as measured
-    faults = [d for d in causes if d.code.startswith(AS_MEASURED)]
+    faults = [d for d in estimate.diagnostics if d.code.startswith(AS_MEASURED)]
     source = corrected(problem.source, problem.tree, estimate.sensor_errors)
     offset = estimate.noise is not None and estimate.noise.bias_weight > 0.5
     beside = (*settings.nuisances, *[PlateBias.term] * offset)
@@ -197,6 +195,14 @@ def _beside_model_errors(
     return problem, replace(estimate, diagnostics=ordered(every))
 
 
+def _is_gross(estimate: Estimate) -> bool:
+    """Whether data contradict the model so that a search for its errors means nothing."""
+    errors = {d.code for d in estimate.diagnostics if d.level == "error"}
+    symptoms = {code for code in errors if messages()[code].symptom}
+    causes = errors - symptoms
+    return bool(causes - HARMLESS) or ("encoder.range" in causes and bool(symptoms))
+
+
 def _without(problem: Problem, errors: ModelErrors) -> Problem:
     """Problem whose recording has no model errors that are to be taken out."""
     assert errors.lasting is not None
@@ -207,8 +213,8 @@ def _without(problem: Problem, errors: ModelErrors) -> Problem:
 LINEARIZATIONS = 1
 """Times that model errors are estimated anew about the corrected estimate."""
 
-CONSTANT = {"plate.tare"}
-"""Codes of causes that change no motion's forces."""
+HARMLESS = {"plate.tare", "encoder.range"}
+"""Codes of causes that need not change the forces of a motion."""
 
 
 AS_MEASURED = ("channel.", "encoder.", "torque.effort")
