@@ -24,7 +24,6 @@ from benchmarks import random_recordings
 from benchmarks.lines import print_lines
 from benchmarks.random_recordings import NOISES, ROBOTS, SPEEDS, instrument
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.diagnostics.residuals import fault_diagnostics
 from testbed.core.estimation.estimate import Method
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base
@@ -155,7 +154,7 @@ class Seen:
         names: Of the parameters.
         z: Their errors in sigmas.
         bodies: How many of them are bodies'.
-        causes: By the faults that are told, the likeliest first.
+        causes: Families of model errors, the clearest first; none where there are none.
         doubtful: Whether sigma may be wrong.
         steps: Whether encoders' steps matter.
         others: Whether other faults are told.
@@ -176,12 +175,13 @@ def seen(study: Study, seed: int, seconds: float) -> Seen:
     found = tb.identify(tree, study.recorded(seed, seconds), study.method, settings=settings)
     theta, drives = tb.barycentric(tree), found.drives
     truth = found.minimal.values(theta) if drives is None else drives.values(theta, tree)
-    causes = tuple(each.causes for each in fault_diagnostics(found))
+    families = tuple(each.family for each in found.model_errors)
+    causes = (families,) if families else ()
     errors = sum(each.level == "error" for each in found.diagnostics)
     steps = found.noise is not None and found.noise.steps_matter
     return Seen(
         found.names, (found.values - truth) / found.sigma, found.minimal.count, causes,
-        found.doubtful, steps, errors > len(causes),
+        found.doubtful, steps, errors > 0,
     )  # fmt: skip
 
 

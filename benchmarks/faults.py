@@ -34,15 +34,15 @@ CAUSES: Mapping[str, str] = {
     "unit": "torques-in-n-mm moments-in-n-mm torques-in-lbf-ft wrench-in-lbf-ft wrench-in-lbf "
     "torques-in-lbf wrench-in-kgf torques-in-kgf-m degrees units-of-tare "
     "other-tare raw-units gain gains moments encoder-sign other-unit",
-    "gain": "gains encoder_gains torque-constant gain",
+    "gain": "gains encoder_gains torque-constant gain torque_gain crosstalk",
     "drift": "slope drift plate.drift plate.offset",
     "channel": "saturated drive-limit not-connected other-column",
     "order": "exchanged",
-    "clock": "skew clock_rate sampling encoder_delays late-torques lost-samples",
-    "pose": "pose moments height",
-    "zero": "joint_zeros zero",
-    "model": "unmodelled-load pose joint_zeros encoder_gains",
-    "gravity": "gravity other-pedestal",
+    "clock": "skew clock_rate sampling encoder_delays torque_lag lost-samples clock",
+    "pose": "pose moments height tilt",
+    "zero": "joint_zeros zero frames",
+    "model": "unmodelled-load pose joint_zeros encoder_gains frames tilt cable",
+    "gravity": "gravity other-pedestal tilt",
 }
 """Codes of which one should be among the first causes, by the kind of fault."""
 
@@ -116,6 +116,7 @@ def _line(
     error = np.abs(estimate.values - truth)
     warned = _said(estimate, both)
     beside = [each for m, other in both.items() if m != method for each in _said(other, {})]
+    families = [each.family for other in both.values() for each in other.model_errors]
     kind = trial.kind if trial else ""
     return {
         "kind": kind,
@@ -123,20 +124,25 @@ def _line(
         "method": method,
         "error": float(f"{(error / np.abs(truth))[: minimal.count].max():.3g}"),
         "sigmas": float(f"{(error / estimate.sigma).max():.3g}"),
-        "named": _named(CAUSES[kind], warned + beside) if kind else None,
+        "named": _named(CAUSES[kind], warned + beside, families) if kind else None,
         "warned": sentences(warned),
         "beside": sentences(beside),
     }
 
 
-def _named(codes: str, said: Sequence[Diagnostic]) -> bool:
-    """Whether one of the codes is a diagnostic's, or among the first causes of one."""
-    return any({*codes.split()} & {each.code, *each.causes[:NAMED]} for each in said)
+def _named(codes: str, said: Sequence[Diagnostic], families: Sequence[str]) -> bool:
+    """Whether one of the codes is a diagnostic's, a first cause's, or a family of model errors."""
+    known = {*codes.split()}
+    return any(known & {each.code, *each.causes[:NAMED], *families} for each in said)
 
 
 def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[Diagnostic]:
     """What is found in one method's data, and by comparing both methods."""
-    found = [d for d in estimate.diagnostics if d.level == "error" or d.code in OF_NOISE]
+    found = [
+        each
+        for each in estimate.diagnostics
+        if each.level == "error" or each.code in OF_NOISE or each.code.startswith("model-error")
+    ]
     if len(both) == 2:
         found += cross_check(both["external"], both["internal"])
     return found

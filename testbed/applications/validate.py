@@ -39,6 +39,7 @@ from testbed.core.estimation.estimate import (
 )
 from testbed.core.estimation.model_errors.model_errors import WithoutModelErrors
 from testbed.core.estimation.problem import Problem, tare_of
+from testbed.core.estimation.regression.normal_equations import square_root
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.settings import DEFAULTS, Settings
@@ -171,6 +172,9 @@ def friction(speed: Array, estimate: Estimate) -> Array:
     return own_torque(steady, estimate)
 
 
+LEVEL = 1.96
+"""Standard deviations within which 95 % of a normal distribution are."""
+
 LIMIT = 2.0
 """Times what noise and covariance allow beyond which a residual is worth a warning."""
 
@@ -190,6 +194,8 @@ class Validation(Diagnosed, Summarized):
             shows here, (C,) [N, N m].
         noise: Rms of what the estimate left of its own recording, (C,) [N, N m].
         spread: Rms of what the parameters' covariance makes of the rows, (C,) [N, N m].
+        within: Part of the rows inside the band of 95 % of noise, parameters and the doubt about
+            model errors, (C,).
         zero_unknown: Whether the plate's zero is not known: means are then no errors.
         errors: Of all candidates, the estimate among them; None where there are no others.
         held: Which of them the estimate is: "plain" or "posterior".
@@ -204,6 +210,7 @@ class Validation(Diagnosed, Summarized):
     mean: Array
     noise: Array
     spread: Array
+    within: Array
     zero_unknown: bool = False
     errors: PredictionErrors | None = None
     held: str = PLAIN
@@ -214,20 +221,40 @@ class Validation(Diagnosed, Summarized):
 
     def __post_init__(self) -> None:
         c = len(self.channels)
-        freeze(self, signal=(c,), residual=(c,), mean=(c,), noise=(c,), spread=(c,))
+        freeze(
+            self,
+            signal=(c,),
+            residual=(c,),
+            mean=(c,),
+            noise=(c,),
+            spread=(c,),
+            within=(c,),
+        )
 
     @property
     def summary(self) -> SummaryTable:
         """Residual of each channel, as a part of the signal, over what noise and sigma allow."""
         parts = zip(
-            self.residual, self.units, self.relative_residual, self.ratio, strict=True
+            self.residual,
+            self.units,
+            self.relative_residual,
+            self.ratio,
+            self.within,
+            strict=True,
         )
         cells = [
-            (f"{r:.3g}", unit, f"{s:.2%}", f"{ratio:.2g}")
-            for r, unit, s, ratio in parts
+            (f"{r:.3g}", unit, f"{s:.2%}", f"{ratio:.2g}", f"{within:.0%}")
+            for r, unit, s, ratio, within in parts
         ]
         rows = [(name, *cell) for name, cell in zip(self.channels, cells, strict=True)]
-        heads = ("channel", "rms residual", "unit", "of the signal", "over allowed")
+        heads = (
+            "channel",
+            "rms residual",
+            "unit",
+            "of the signal",
+            "over allowed",
+            "in band",
+        )
         warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
         return SummaryTable("estimate on another recording", (heads, *rows), warnings)
 
@@ -338,26 +365,31 @@ def _validation(
     problem: Problem, source: Source, estimate: EstimateSummary
 ) -> Validation:
     """Residuals of another recording's rows, faults of the instrument taken back."""
-    doubt: Array | float = 0.0
+    doubt, covariance = np.zeros(len(problem.channels)), np.array(estimate.covariance)
     if estimate.correction is not None:
         source = WithoutModelErrors(
             problem, source, estimate.values, estimate.correction
         )
         doubt = source.doubt
+        # what errors make is in the doubt, less what they change of the parameters
+        covariance = covariance - estimate.correction.covariance
     passes = problem.passes(2, source, whole=True)
     equations = problem.equations(passes)
     drifts = [name.startswith(SLOPE.kind + "/") for name in estimate.names]
     # the drift of offsets is one recording's
     values = np.where(drifts, 0.0, estimate.values)
-    total, squares = np.zeros((2, len(problem.channels)))
-    for columns, measured in passes.rows(values[:, None]):
+    total, squares, within = np.zeros((3, len(problem.channels)))
+    fixed = (estimate.residual**2 + doubt)[:, None]
+    combined = np.column_stack([values, square_root(covariance)])
+    for columns, measured in passes.rows(combined):
         left = measured - columns[..., 0]
         total += left.sum(axis=1)
         squares += (left**2).sum(axis=1)
+        variance = fixed + (columns[..., 1:] ** 2).sum(axis=2)
+        counts = columns[..., 1:].any(axis=2)
+        within += (counts & (left**2 <= LEVEL**2 * variance)).sum(axis=1)
     used = np.where(equations.used > 0, equations.used, np.nan)
-    added = np.maximum(
-        np.einsum("cij,ij->c", equations.normal, estimate.covariance), 0.0
-    )
+    added = np.maximum(np.einsum("cij,ij->c", equations.normal, covariance), 0.0)
     found = Validation(
         method=estimate.method,
         channels=equations.channels,
@@ -368,6 +400,7 @@ def _validation(
         mean=total / used,
         noise=np.where(np.isnan(used), np.nan, estimate.residual),
         spread=np.sqrt(added / used + doubt),
+        within=within / used,
         zero_unknown=bool(estimate.unidentifiable),
     )
     numbers = [found.signal, found.residual, found.mean, found.spread]

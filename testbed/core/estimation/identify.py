@@ -183,13 +183,15 @@ def _beside_model_errors(
             problem = _without(given, errors)
             estimate = _estimate_of(problem, doubt)
         root = errors.effect.root(estimate.covariance)
+        gain = errors.effect.gain(estimate.covariance)
     estimate = replace(
         estimate,
         covariance=estimate.covariance + root @ root.T,
         measured_equations=measured,
         model_errors=errors.each,
         model_error_effect=errors.effect,
-        correction=errors.lasting,
+        correction=errors.lasting
+        and replace(errors.correction, gain=gain).of(errors.taken),
     )
     every = [*faults, *estimate.diagnostics, *model_error_diagnostics(estimate)]
     return problem, replace(estimate, diagnostics=ordered(every))

@@ -21,7 +21,6 @@ from testbed.core.estimation.model_errors.linearizer import (
 from testbed.core.estimation.noise.lagged_products import HIGHEST
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY, scaled_solve
-from testbed.core.estimation.regression.passes import motion_rows
 from testbed.core.estimation.regression.windows import Plan
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.kernel.records import (
@@ -95,7 +94,9 @@ class ErrorRows:
             for family in families
         ]
         every = np.concatenate(columns, axis=2)
-        alike = self._at_rows([self._unknowns(at) for at in self.linearizations])
+        alike = self._at_rows(
+            [self.linearizer.unknowns(at.motion) for at in self.linearizations]
+        )
         scale = self.used / np.sqrt((self.measured**2).mean(axis=1) + TINY)[:, None]
         scaled = (alike * scale[..., None]).reshape(-1, alike.shape[2])
         right = scaled.T @ (every * scale[..., None]).reshape(len(scaled), -1)
@@ -104,13 +105,6 @@ class ErrorRows:
         ends = np.cumsum([each.shape[2] for each in columns])[:-1]
         kinds = [family.kind for family in families]
         return dict(zip(kinds, np.split(every, ends, axis=2), strict=True))
-
-    def _unknowns(self, at: Linearization) -> Array:
-        """Columns of the unknowns at the instants of a linearization, (m, C, p)."""
-        plan, motion = self.linearizer.plan, at.motion
-        rows = motion_rows(plan, motion.q, motion.qd, motion.qdd)
-        columns: Array = plan.layout.combined(rows, plan.layout.basis)
-        return columns.transpose(1, 0, 2)
 
     def _at_rows(self, signals: Sequence[Array]) -> Array:
         """Signals of the windows, (m, C, k) each, filtered at the rows, (C, R, k)."""

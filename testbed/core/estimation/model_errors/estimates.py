@@ -80,6 +80,7 @@ class ModelErrorCorrection:
         columns: Which these are of a family with alternatives; () where there are all.
         coefficients: In plausible sizes, (k,).
         spread: Second moments of the coefficients about what is true, (k, k).
+        gain: Change of the unknowns by the coefficients where these are not taken out, (p, k).
         sizes: Of the recording that showed them.
     """
 
@@ -88,7 +89,13 @@ class ModelErrorCorrection:
     columns: tuple[tuple[int, ...], ...]
     coefficients: Array
     spread: Array
+    gain: Array
     sizes: Sizes
+
+    @property
+    def covariance(self) -> Array:
+        """What the coefficients' spread makes in the unknowns, (p, p)."""
+        return np.asarray(self.gain @ self.spread @ self.gain.T)
 
     def of(self, kinds: Collection[str]) -> ModelErrorCorrection:
         """The part of some families.
@@ -107,6 +114,7 @@ class ModelErrorCorrection:
             ),
             coefficients=self.coefficients[at],
             spread=self.spread[np.ix_(at, at)],
+            gain=self.gain[:, at],
         )
 
 
@@ -128,6 +136,17 @@ class ModelErrorEffect:
         """Root of the covariance that the errors add to the unknowns, (p, k).
 
         Args:
+            covariance: As of `gain`.
+            prior: As of `gain`.
+        """
+        sizes, axes = eigh(self.spread)
+        size = np.sqrt(np.maximum(sizes, 0.0))
+        return np.asarray(self.gain(covariance, prior) @ (axes * size))
+
+    def gain(self, covariance: Array, prior: Array | None = None) -> Array:
+        """Change of the unknowns by the coefficients, (p, k).
+
+        Args:
             covariance: Of the unknowns otherwise, (p, p): what is known stays known.
             prior: Covariance of the unknowns before the data, (p, p); None for none.
         """
@@ -137,6 +156,5 @@ class ModelErrorEffect:
         scale = np.sqrt(np.maximum(np.diagonal(covariance), TINY))
         spread, directions = eigh(covariance / np.outer(scale, scale))
         free = scale[:, None] * directions[:, spread > KNOWN]
-        gain = free @ scaled_solve(free.T @ information @ free, free.T @ self.cross)
-        sizes, axes = eigh(self.spread)
-        return np.asarray(gain @ (axes * np.sqrt(np.maximum(sizes, 0.0))))
+        right = free.T @ self.cross
+        return np.asarray(free @ scaled_solve(free.T @ information @ free, right))

@@ -16,7 +16,7 @@ from testbed.core.estimation.model_errors.estimates import Sizes
 from testbed.core.estimation.model_errors.linearization import Linearization
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.regression.passes import noise_square
+from testbed.core.estimation.regression.passes import motion_rows, noise_square
 from testbed.core.estimation.regression.windows import (
     ROW_ATTENUATION,
     Plan,
@@ -149,6 +149,16 @@ class Linearizer:
             sizes or _sizes(states, forces.wrench, forces.torque + own),
             self.filter,
         )
+
+    def unknowns(self, motion: Motion) -> Array:
+        """Columns of the unknowns at instants, (m, C, p).
+
+        Args:
+            motion: Of the instants.
+        """
+        layout = self.plan.layout
+        rows = motion_rows(self.plan, motion.q, motion.qd, motion.qdd)
+        return layout.combined(rows, layout.basis).transpose(1, 0, 2)
 
     @cached_property
     def _bodies(self) -> Array:

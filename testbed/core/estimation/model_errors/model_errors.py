@@ -51,7 +51,7 @@ from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.tree import Tree
 from testbed.sensors.catalogue import estimable_errors
 
-DOUBT = 0.5
+DOUBT = 0.3
 """Part of a correction that is doubted."""
 
 
@@ -101,7 +101,8 @@ class WithoutModelErrors(DerivedSource):
     """Recording without model errors, joints in the order of the tree.
 
     Attributes:
-        doubt: Mean square of what the coefficients' spread makes in each channel, (C,).
+        doubt: Mean square of what the coefficients' spread makes in each channel, beside what it
+            makes of the unknowns, (C,).
     """
 
     def __init__(
@@ -137,6 +138,7 @@ class WithoutModelErrors(DerivedSource):
             times.append(begin + linearizer.filter.stride * np.arange(first, count))
             signal, columns = signal_of(correction, at)
             signals.append(signal[first:])
+            columns = columns - linearizer.unknowns(at.motion) @ correction.gain
             squares.append(((columns @ correction.spread) * columns).sum(axis=2))
         self.doubt = np.concatenate(squares).mean(axis=0)
         self._at, self._errors = _in_turn(times, signals)
@@ -239,6 +241,7 @@ def _model_errors(
         columns=tuple(tuple(columns.tolist()) for columns in kept),
         coefficients=coefficients,
         spread=spread,
+        gain=np.zeros((rows.columns.shape[2], len(coefficients))),
         sizes=rows.linearizations[0].sizes,
     )
     effect = ModelErrorEffect(spread, *_reduced(products, rows.columns.shape[2]))
