@@ -12,6 +12,7 @@ import testbed as tb
 from testbed.applications.validate import validate
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
+from testbed.core.parameters.rules import Signal
 from testbed.core.robot.drive_torque import drive_torque
 from testbed.core.robot.rotations import from_vector
 from tests.helpers.measured import random_fourier
@@ -96,7 +97,7 @@ CASES = [
 @pytest.mark.parametrize("name", ["ur5", "puma"])
 @pytest.mark.parametrize(("model", "signal", "family"), CASES)
 def test_an_error_of_the_model_is_named_and_sigma_holds(
-    model: Model, signal: str, family: str, name: str
+    model: Model, signal: Signal, family: str, name: str
 ) -> None:
     """Without the search, sigma is of a robot that there is not."""
     tree = robot(name)
@@ -111,7 +112,7 @@ def test_an_error_of_the_model_is_named_and_sigma_holds(
 
 @pytest.mark.parametrize("name", ["ur5", "puma", "gantry"])
 @pytest.mark.parametrize("signal", ["torque", "wrench"])
-def test_a_clean_recording_has_the_estimate_that_it_had(name: str, signal: str) -> None:
+def test_a_clean_recording_has_the_estimate_that_it_had(name: str, signal: Signal) -> None:
     tree = robot(name)
     recording = recorded(tree, rigid, 5)
     found = tb.identify(tree, recording, signal)

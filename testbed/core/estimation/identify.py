@@ -157,7 +157,7 @@ def _beside_model_errors(
     settings = problem.settings
     if not settings.model_errors or settings.row_low_pass is None:
         return problem, estimate
-    if _is_gross(estimate) or not noisy(estimate):
+    if _is_gross(estimate) or not noisy(estimate) or not problem.clock.sound:
         return problem, estimate
     # of signals as measured
     faults = [d for d in estimate.diagnostics if d.code.startswith(AS_MEASURED)]

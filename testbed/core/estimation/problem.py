@@ -42,6 +42,11 @@ from testbed.core.recordings.columns import check_samples, members_of
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.joined import Joined
 from testbed.core.recordings.repeats import without_repeated_poses
+from testbed.core.recordings.sampling_times import (
+    SOUND,
+    SamplingTimes,
+    sampling_times,
+)
 from testbed.core.recordings.source import RecordingLike, Source, counted, open_source
 from testbed.core.recordings.views import (
     is_imported,
@@ -71,6 +76,7 @@ class Problem:
         progress: Called with samples done and samples in all.
         diagnostics: Of the recording's poses and channels.
         faults: Of its channels, whose samples do not count.
+        clock: Errors of its sampling times.
     """
 
     tree: Tree
@@ -82,6 +88,7 @@ class Problem:
     progress: Progress = lambda done, total: None
     diagnostics: tuple[Diagnostic, ...] = ()
     faults: tuple[ChannelFault, ...] = ()
+    clock: SamplingTimes = SOUND
 
     @classmethod
     def of(
@@ -137,7 +144,9 @@ class Problem:
         faults: tuple[ChannelFault, ...] = ()
         if is_imported(source) and NOTHING not in settings.leave_out:
             faults = channel_faults(source, torques=method == "internal")
-        diagnostics = (*diagnostics, *(each.diagnostic for each in faults))
+        clock = sampling_times(source)
+        found = (each.diagnostic for each in faults)
+        diagnostics = (*diagnostics, *found, *clock.diagnostics())
         return cls(
             tree=tree,
             source=source,
@@ -148,6 +157,7 @@ class Problem:
             progress=progress,
             diagnostics=diagnostics,
             faults=faults,
+            clock=clock,
         )
 
     def with_settings(self, **changes: Any) -> Problem:
