@@ -200,9 +200,9 @@ def _beside_model_errors(
 def _is_gross(estimate: Estimate) -> bool:
     """Whether data contradict the model so that a search for its errors means nothing."""
     errors = {d.code for d in estimate.diagnostics if d.level == "error"}
-    symptoms = {code for code in errors if messages()[code].symptom}
-    causes = errors - symptoms
-    return bool(causes - HARMLESS) or ("encoder.range" in causes and bool(symptoms))
+    causes = {code for code in errors if not messages()[code].symptom}
+    left = estimate.relative_residual[list(estimate.matters)].max(initial=0.0)
+    return bool(causes - HARMLESS) or ("encoder.range" in causes and left > USELESS)
 
 
 def _without(problem: Problem, errors: ModelErrors) -> Problem:
@@ -214,6 +214,9 @@ def _without(problem: Problem, errors: ModelErrors) -> Problem:
 
 LINEARIZATIONS = 1
 """Times that model errors are estimated anew about the corrected estimate."""
+
+USELESS = 0.5
+"""Part of a channel's signal that is left where positions are none of the robot's."""
 
 HARMLESS = {"plate.tare", "encoder.range"}
 """Codes of causes that need not change the forces of a motion."""

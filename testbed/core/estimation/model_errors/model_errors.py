@@ -257,18 +257,14 @@ def _reduced(products: Products, count: int) -> tuple[Array, Array]:
         products: Of all unknowns and families.
         count: p, of the robot's unknowns, which come first.
     """
-    squares = products.squares[:-1, :-1].copy()
     known = products.rows.prior[:, :-1]
-    squares[: products.p, : products.p] -= known.T @ known
-    own, others = slice(count), slice(count, products.p)
-    kept = np.r_[own, products.p : len(squares)]
-    across = squares[others, kept]
-    rest = squares[np.ix_(kept, kept)][own]
-    if products.p > count:
-        rest = rest - squares[own, others] @ scaled_solve(
-            squares[others, others], across
-        )
-    return rest[:, own], rest[:, count:]
+    information, cross = products.information - known.T @ known, products.cross
+    if products.p == count:
+        return information, cross
+    own, others = slice(count), slice(count, None)
+    across = np.concatenate([information[others, own], cross[others]], axis=1)
+    moved = information[own, others] @ scaled_solve(information[others, others], across)
+    return information[own, own] - moved[:, own], cross[own] - moved[:, others]
 
 
 def _estimate_of(

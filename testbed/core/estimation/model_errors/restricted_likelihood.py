@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
@@ -33,6 +33,8 @@ from testbed.core.estimation.noise.lagged_products import (
     prediction_errors,
 )
 from testbed.core.estimation.regression.normal_equations import TINY
+
+Indices = NDArray[np.intp]
 
 VARIANCES = 10.0 ** np.arange(-5, 2.01, 0.25)
 """Variances of a family that are tried, in squares of the plausible size over the noise's."""
@@ -140,10 +142,10 @@ class Solution(NamedTuple):
 
 
 class Products:
-    """Products of white rows: what any variances of some families need to know."""
+    """White rows with the unknowns projected out: what any variances of families need to know."""
 
     def __init__(self, rows: Rows, kinds: Sequence[str], noise: RowNoise) -> None:
-        """Products of unknowns and some families.
+        """White rows of unknowns and some families.
 
         Args:
             rows: All rows.
@@ -162,36 +164,58 @@ class Products:
         self.p = rows.columns.shape[2]
         known = np.zeros((len(rows.prior), white.shape[1]))
         known[:, : self.p], known[:, -1] = rows.prior[:, :-1], rows.prior[:, -1]
-        white = np.concatenate([white, known])
-        self.free = max(float(np.count_nonzero(white.any(axis=1))) - self.p, 1.0)
-        self.triangle = np.asarray(np.linalg.qr(white, mode="r"), dtype=np.float64)
+        white = np.concatenate([white[white.any(axis=1)], known])
+        self.free = max(float(len(white)) - self.p, 1.0)
+        own, others = np.split(white, [self.p], axis=1)
+        basis, self._root = np.linalg.qr(own)
+        self._across = basis.T @ others
+        left = others - basis @ self._across
+        size = np.linalg.norm(others, axis=0)
+        imitated = np.linalg.norm(left, axis=0) < np.sqrt(DEPENDENT) * size
+        imitated[-1] = False
+        left[:, imitated] = 0.0
+        self._left, self._residual = left[:, :-1], left[:, -1]
 
     @cached_property
     def shift(self) -> Array:
         """Unknowns by each family's column and by the measurements alone, (p, k + 1)."""
-        own = self.triangle[: self.p, : self.p]
-        scale = _scale(own)
-        found = np.linalg.lstsq(own * scale, self.triangle[: self.p, self.p :], SMALL)
-        return np.asarray(scale[:, None] * found[0])
+        scale = _scale(self._root)
+        found = np.linalg.lstsq(self._root * scale, self._across, SMALL)[0]
+        return np.asarray(scale[:, None] * found)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the unknowns without families, under noise of one, (p, p)."""
+        scale = _scale(self._root)
+        inverse = scale[:, None] * np.linalg.pinv(self._root * scale, SMALL)
+        return np.asarray(inverse @ inverse.T)
+
+    @property
+    def information(self) -> Array:
+        """Products of the unknowns' columns, (p, p)."""
+        return np.asarray(self._root.T @ self._root)
+
+    @property
+    def cross(self) -> Array:
+        """Products of the unknowns' columns and the families', (p, k)."""
+        return np.asarray(self._root.T @ self._across[:, :-1])
 
     @cached_property
     def _log_size(self) -> float:
         """Logarithm of |X'X|."""
-        own = self.triangle[: self.p, : self.p]
-        least = SMALL * np.linalg.norm(own, axis=0)
-        size = np.maximum(np.abs(np.diagonal(own)), np.maximum(least, TINY))
+        least = SMALL * np.linalg.norm(self._root, axis=0)
+        size = np.maximum(np.abs(np.diagonal(self._root)), np.maximum(least, TINY))
         return float(2 * np.log(size).sum())
 
     @cached_property
-    def _left(self) -> tuple[Array, Array, float]:
-        """G, (k, k), c, (k,), and rss, unknowns projected out."""
-        rest = self.triangle[self.p :, self.p :].copy()
-        size = np.linalg.norm(self.triangle[:, self.p :], axis=0)
-        imitated = np.linalg.norm(rest, axis=0) < np.sqrt(DEPENDENT) * size
-        imitated[-1] = False
-        rest[:, imitated] = 0.0
-        squares = rest.T @ rest
-        return squares[:-1, :-1], squares[:-1, -1], max(float(squares[-1, -1]), TINY)
+    def _squares(self) -> tuple[Array, float]:
+        """Products of families' columns and measurements, (k,), and squares of these."""
+        own = max(float(self._residual @ self._residual), TINY)
+        return self._left.T @ self._residual, own
+
+    def _gram(self, one: Indices, other: Indices) -> Array:
+        """Products of columns, unknowns projected out, (a, b)."""
+        return np.asarray(self._left[:, one].T @ self._left[:, other])
 
     def gain(self, kind: str, chosen: Mapping[str, float]) -> tuple[float, float]:
         """Gain of the log likelihood by a family beside chosen ones, and its best variance.
@@ -200,13 +224,13 @@ class Products:
             kind: Of the family.
             chosen: Variances of the others by kind.
         """
-        gram, moment, rss = self._left
+        moment, rss = self._squares
         at = self.places[kind]
-        own, right = gram[np.ix_(at, at)], moment[at]
+        own, right = self._gram(at, at), moment[at]
         if chosen:
             others, variances = self._of(chosen)
-            root = self._root(others, variances)
-            across = solve_triangular(root, gram[np.ix_(others, at)], lower=True)
+            root = self._root_of(others, variances)
+            across = solve_triangular(root, self._gram(others, at), lower=True)
             known = solve_triangular(root, moment[others], lower=True)
             own, right = own - across.T @ across, right - across.T @ known
             rss = max(rss - float(known @ known), TINY)
@@ -233,9 +257,9 @@ class Products:
         ]
         return np.concatenate(at), np.concatenate(variances)
 
-    def _root(self, at: NDArray[np.intp], variances: Array) -> Array:
+    def _root_of(self, at: NDArray[np.intp], variances: Array) -> Array:
         """Cholesky factor of G + 1 / D, (k, k)."""
-        own = self._left[0][np.ix_(at, at)]
+        own = self._gram(at, at)
         ridge = np.diag(1 / variances + DEPENDENT * np.diagonal(own))
         return np.asarray(cholesky(own + ridge, lower=True))
 
@@ -261,11 +285,11 @@ class Products:
         Args:
             chosen: Variances by kind.
         """
-        _, moment, rss = self._left
+        moment, rss = self._squares
         at, variances = self._of(chosen)
         size = self._log_size
         if len(at):
-            root = self._root(at, variances)
+            root = self._root_of(at, variances)
             known = solve_triangular(root, moment[at], lower=True)
             rss = max(rss - float(known @ known), TINY)
             size += float(2 * np.log(np.diagonal(root)).sum() + np.log(variances).sum())
@@ -280,28 +304,27 @@ class Products:
         Args:
             chosen: Variances by kind.
         """
+        moment, rss = self._squares
         at, variances = self._of(chosen)
-        every = np.concatenate([np.arange(self.p), self.p + at])
-        ridge = np.zeros((len(at), len(every)))
-        ridge[range(len(at)), range(self.p, len(every))] = variances**-0.5
-        matrix = np.concatenate([self.triangle[:, every], ridge])
-        right = np.concatenate([self.triangle[:, -1], np.zeros(len(at))])
-        scale = _scale(matrix)
-        left, sizes, axes = np.linalg.svd(matrix * scale, full_matrices=False)
-        seen = sizes > SMALL * sizes[0]
-        root = scale[:, None] * axes[seen].T / sizes[seen]
-        values = root @ (left[:, seen].T @ right)
-        square = float(((right - matrix @ values) ** 2).sum()) / self.free
-        covariance = root @ root.T
-        given = float((np.diagonal(covariance)[self.p :] / variances).sum())
+        shift, p = self.shift[:, at], self.p
+        coefficients, inverse = np.zeros(0), np.zeros((0, 0))
+        if len(at):
+            root = self._root_of(at, variances)
+            inverse = np.asarray(cho_solve((root, True), np.eye(len(at))))
+            coefficients = inverse @ moment[at]
+        values = np.concatenate(
+            [self.shift[:, -1] - shift @ coefficients, coefficients]
+        )
+        covariance = np.zeros((len(values), len(values)))
+        covariance[:p, :p] = self.covariance + shift @ inverse @ shift.T
+        covariance[:p, p:] = -shift @ inverse
+        covariance[p:, :p], covariance[p:, p:] = covariance[:p, p:].T, inverse
+        square = (rss - float(coefficients @ moment[at])) / self.free
+        given = float((np.diagonal(inverse) / variances).sum())
         known = self.rows.prior[:, :-1]
-        given += float(((known @ covariance[: self.p, : self.p]) * known).sum())
-        return Solution(values, covariance * max(square, TINY), len(every) - given)
-
-    @property
-    def squares(self) -> Array:
-        """Products of all columns and measurements, (p + k + 1, p + k + 1)."""
-        return np.asarray(self.triangle.T @ self.triangle)
+        given += float(((known @ covariance[:p, :p]) * known).sum())
+        freedom = len(values) - given
+        return Solution(values, covariance * max(square, TINY), freedom)
 
 
 def _scale(matrix: Array) -> Array:
