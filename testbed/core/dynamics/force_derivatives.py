@@ -42,7 +42,7 @@ SIZE = 2048
 
 
 @dataclass(frozen=True, eq=False)
-class Slopes:
+class ForceSlopes:
     """Derivatives of C forces by D displacements, (M, C, D) each [N or N m per rad or m].
 
     Attributes:
@@ -68,13 +68,13 @@ class Slopes:
         change += self.acceleration[..., None] * second[:, None]
         return change
 
-    def of(self, displacements: slice) -> Slopes:
+    def of(self, displacements: slice) -> ForceSlopes:
         """Derivatives by some of the displacements.
 
         Args:
             displacements: Which.
         """
-        return Slopes(
+        return ForceSlopes(
             self.position[..., displacements],
             self.velocity[..., displacements],
             self.acceleration[..., displacements],
@@ -101,8 +101,8 @@ class ForceDerivatives:
 
     wrench: Array
     torque: Array
-    wrench_slopes: Slopes
-    torque_slopes: Slopes
+    wrench_slopes: ForceSlopes
+    torque_slopes: ForceSlopes
     screws: Array
     origins: Array
     carries: NDArray[np.bool_]
@@ -148,8 +148,8 @@ def force_derivatives(
     return ForceDerivatives(
         wrench,
         torque,
-        Slopes(*by_wrench),
-        Slopes(*by_torque),
+        ForceSlopes(*by_wrench),
+        ForceSlopes(*by_torque),
         screws,
         origins,
         _carries(tree)[:, : tree.n],

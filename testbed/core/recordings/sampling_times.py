@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +91,22 @@ def sampling_times(source: Source) -> SamplingTimes:
     return errors_of_times(part.time, part.position)
 
 
+class _Increments(NamedTuple):
+    """Increments of moving samples beside those that their neighbours suggest.
+
+    Attributes:
+        time: After each, (m,) [s].
+        along: Error along the motion, (m,).
+        size: Of the increment, (m,).
+        noise: Standard deviation of the errors across the motion.
+    """
+
+    time: Array
+    along: Array
+    size: Array
+    noise: float
+
+
 def errors_of_times(time: Array, position: Array) -> SamplingTimes:
     """Errors of sampling times, by positions that should move evenly.
 
@@ -97,38 +114,42 @@ def errors_of_times(time: Array, position: Array) -> SamplingTimes:
         time: Of the samples, evenly spaced, (M,) [s].
         position: (M, n) [rad or m].
     """
-    steps = np.diff(position, axis=0)
-    if len(steps) < 10 * len(INTERPOLATION):
+    seen = _increments(time, position)
+    if seen is None:
         return SOUND
-    even = _filtered(steps, INTERPOLATION)
-    speed = _filtered(steps, np.ones(9) / 9)
-    error, at = (steps[2:-2] - even)[2:-2], time[5:-4]
-    size = np.linalg.norm(speed, axis=1)
-    moving = size > MOVING * np.median(size)
-    moving &= size > 0
-    if moving.sum() < 10 * len(INTERPOLATION):
-        return SOUND
-    direction = speed[moving] / size[moving, None]
-    along = (error[moving] * direction).sum(axis=1)
-    noise = _noise(error[moving], direction)
-    relative = along / size[moving]
-    clear = np.abs(along) > CLEAR * noise
+    relative, clear = seen.along / seen.size, np.abs(seen.along) > CLEAR * seen.noise
     lost, repeated = (
-        _single(at[moving], sign * relative, clear) for sign in (1.0, -1.0)
+        _single(seen.time, sign * relative, clear) for sign in (1.0, -1.0)
     )
     few, many = sorted((len(lost), len(repeated)))
     core = np.abs(relative) < STEP
     # as many too early as too late
-    if few > BALANCED * many or many > RARE * moving.sum():
+    if few > BALANCED * many or many > RARE * len(core):
         lost = repeated = np.zeros(0)
         core[:] = True
-    spread = _deviation(along[core])
-    step = float(np.median(np.diff(time)))
-    typical = float(np.median(size[moving])) * np.sqrt(GAIN)
-    jitter = step * np.sqrt(max(spread**2 - noise**2, 0.0)) / typical
-    hidden = step * noise / typical
-    shows = jitter > TIMES * hidden + SMALL_JITTER
+    spread = _deviation(seen.along[core])
+    # time in which a position moves by one
+    pace = float(np.median(np.diff(time)) / np.median(seen.size)) / np.sqrt(GAIN)
+    jitter = pace * np.sqrt(max(spread**2 - seen.noise**2, 0.0))
+    shows = jitter > TIMES * pace * seen.noise + SMALL_JITTER
     return SamplingTimes(lost, repeated, float(jitter) if shows else 0.0)
+
+
+def _increments(time: Array, position: Array) -> _Increments | None:
+    """Increments of moving samples; None where they are too few."""
+    steps = np.diff(position, axis=0)
+    if len(steps) < 10 * len(INTERPOLATION):
+        return None
+    speed = _filtered(steps, np.ones(9) / 9)
+    error = (steps[2:-2] - _filtered(steps, INTERPOLATION))[2:-2]
+    size = np.linalg.norm(speed, axis=1)
+    moving = (size > MOVING * np.median(size)) & (size > 0)
+    if moving.sum() < 10 * len(INTERPOLATION):
+        return None
+    size, error = size[moving], error[moving]
+    direction = speed[moving] / size[:, None]
+    along = (error * direction).sum(axis=1)
+    return _Increments(time[5:-4][moving], along, size, _noise(error, direction))
 
 
 def _filtered(steps: Array, weights: Array) -> Array:
@@ -138,7 +159,7 @@ def _filtered(steps: Array, weights: Array) -> Array:
 
 
 def _noise(error: Array, direction: Array) -> float:
-    """Standard deviation of errors across the motion; of one joint, of consecutive ones' changes.
+    """Standard deviation of errors across the motion; of one joint all of them: they hide jitter.
 
     Args:
         error: Of increments, (m, n).

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.model_errors.restricted_likelihood import Products
+from testbed.core.estimation.model_errors.restricted_likelihood import ProjectedRows
 from testbed.core.estimation.regression.normal_equations import TINY, scaled_solve
 
 FOLDS = (2, 4, 8)
@@ -20,7 +20,7 @@ BETTER = 0.98
 """Part of the squares left without a family, beyond which its correction is not taken."""
 
 
-def predictive(products: Products, order: Sequence[str], variances: Array) -> int:
+def predictive(products: ProjectedRows, order: Sequence[str], variances: Array) -> int:
     """How many of the first families in an order predict held-out rows best.
 
     Args:
@@ -33,23 +33,15 @@ def predictive(products: Products, order: Sequence[str], variances: Array) -> in
     return best if losses[best] < BETTER * losses[0] else 0
 
 
-def _loss(products: Products, kinds: Sequence[str], variances: Array) -> float:
+def _loss(products: ProjectedRows, kinds: Sequence[str], variances: Array) -> float:
     """Sum of squares left of held-out rows, in units of the noise."""
     rows, scale = products.rows, products.rows.used / products.noise.total[:, None]
     blocks = [rows.columns, *(rows.families[kind] for kind in kinds)]
     every = np.concatenate([*blocks, rows.measured[..., None]], axis=2)
     every = every * scale[..., None]
+    whole = _squares(every)
     counts = [each.shape[2] for each in blocks]
-    known = np.zeros((sum(counts),) * 2)
-    known[range(counts[0], sum(counts)), range(counts[0], sum(counts))] = 1 / np.repeat(
-        variances, counts[1:]
-    )
-    flat = every.reshape(-1, every.shape[2])
-    whole = flat.T @ flat
-    start = scaled_solve(whole[:-1, :-1] + known, whole[:-1, -1])
-    known[: counts[0], : counts[0]] += WEAK * whole[: counts[0], : counts[0]]
-    offset = np.zeros(len(known))
-    offset[: counts[0]] = known[: counts[0], : counts[0]] @ start[: counts[0]]
+    known, offset = _weak_prior(whole, counts, variances)
     total = 0.0
     for folds in FOLDS:
         for part in np.array_split(every, folds, axis=1):
@@ -59,3 +51,28 @@ def _loss(products: Products, kinds: Sequence[str], variances: Array) -> float:
             left = own[:, -1] - own[:, :-1] @ values
             total += float(left @ left)
     return max(total, TINY)
+
+
+def _squares(rows: Array) -> Array:
+    """Products of columns, (q, q), of rows (C, R, q)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    return flat.T @ flat
+
+
+def _weak_prior(
+    whole: Array, counts: Sequence[int], variances: Array
+) -> tuple[Array, Array]:
+    """Information before the seen rows, (p, p), and information times mean, (p,).
+
+    Args:
+        whole: Products of all rows' columns and measurements, (p + 1, p + 1).
+        counts: Columns of the unknowns, and of each family.
+        variances: Of each family.
+    """
+    p = counts[0]
+    known = np.diag(np.concatenate([np.zeros(p), 1 / np.repeat(variances, counts[1:])]))
+    start = scaled_solve(whole[:-1, :-1] + known, whole[:-1, -1])[:p]
+    offset = np.zeros(len(known))
+    offset[:p] = WEAK * whole[:p, :p] @ start
+    known[:p, :p] += WEAK * whole[:p, :p]
+    return known, offset

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import convolve1d
 
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.force_derivatives import ForceDerivatives, Slopes
+from testbed.core.dynamics.force_derivatives import ForceDerivatives, ForceSlopes
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.estimate import Method
 from testbed.core.estimation.model_errors.estimates import Sizes
@@ -52,7 +52,7 @@ class Linearization:
         return bool(slopes.shape[2] > self.tree.n)
 
     @property
-    def slopes(self) -> Slopes:
+    def slopes(self) -> ForceSlopes:
         """Derivatives of what is measured."""
         external = self.method == "external"
         return self.forces.wrench_slopes if external else self.forces.torque_slopes

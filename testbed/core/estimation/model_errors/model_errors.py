@@ -36,7 +36,10 @@ from testbed.core.estimation.model_errors.estimates import (
 )
 from testbed.core.estimation.model_errors.family import ModelErrorFamily
 from testbed.core.estimation.model_errors.linearization import Linearization
-from testbed.core.estimation.model_errors.restricted_likelihood import Products, Rows
+from testbed.core.estimation.model_errors.restricted_likelihood import (
+    ProjectedRows,
+    RegressionRows,
+)
 from testbed.core.estimation.model_errors.selection import (
     SURE,
     Selection,
@@ -190,20 +193,37 @@ def find_model_errors(
         and (among is None or family.kind in among)
         and family.applies(rows.linearizations[0])
     ]
-    measured = rows.whitened(rows.measured[..., None])[..., 0]
     beside = [SensorFamily(e) for e in estimable_errors() if e.term in estimated]
     own = [each for each in beside if problem.method in each.methods]
-    columns = rows.families([*families, *own])
-    others = [columns.pop(each.kind) for each in own]
-    unknowns = np.concatenate([rows.whitened(rows.columns), *others], axis=2)
-    known = np.insert(known, [-1] * (unknowns.shape[2] - len(values)), 0.0, axis=1)
-    used = np.asarray(unknowns.any(axis=2))
-    given = Rows(unknowns, measured, used, columns, known)
-    selector = Selector(given, families, rows.encoder_share)
-    selection = selector.select()
+    given = _beside(rows, families, own, known)
+    selection = Selector(given, families, rows.encoder_share).select()
     if not selection.variances:
         return None
     return _model_errors(rows, families, selection)
+
+
+def _beside(
+    rows: ErrorRows,
+    families: Sequence[ModelErrorFamily],
+    own: Sequence[ModelErrorFamily],
+    known: Array,
+) -> RegressionRows:
+    """White rows of unknowns, among them those of sensors, and families.
+
+    Args:
+        rows: Of the robot's unknowns.
+        families: That are sought.
+        own: Sensors' errors that are estimated.
+        known: Of the robot's unknowns before the data, (r, p + 1).
+    """
+    columns = rows.families([*families, *own])
+    others = [columns.pop(each.kind) for each in own]
+    unknowns = np.concatenate([rows.whitened(rows.columns), *others], axis=2)
+    more = unknowns.shape[2] + 1 - known.shape[1]
+    known = np.insert(known, [-1] * more, 0.0, axis=1)
+    measured = rows.whitened(rows.measured[..., None])[..., 0]
+    used = np.asarray(unknowns.any(axis=2))
+    return RegressionRows(unknowns, measured, used, columns, known)
 
 
 def _prior_rows(prior: Gaussian | None, count: int) -> Array:
@@ -223,20 +243,37 @@ def _model_errors(
     rows: ErrorRows, families: Sequence[ModelErrorFamily], selection: Selection
 ) -> ModelErrors:
     """Estimates of the selected families."""
-    products, by_kind = selection.products, {each.kind: each for each in families}
-    solution, p = selection.solution, products.p
-    counts = [len(products.places[kind]) for kind in selection.variances]
-    taken = np.repeat([kind in selection.taken for kind in selection.variances], counts)
+    by_kind, tree = {each.kind: each for each in families}, rows.linearizer.problem.tree
+    correction = _correction(rows, selection)
+    count = rows.columns.shape[2]
+    effect = ModelErrorEffect(correction.spread, *_reduced(selection.products, count))
+    return ModelErrors(
+        tuple(_estimate_of(selection, by_kind[kind], tree) for kind in selection.gains),
+        correction,
+        effect,
+        selection.taken,
+        rows.linearizer.values,
+    )
+
+
+def _correction(rows: ErrorRows, selection: Selection) -> ModelErrorCorrection:
+    """Coefficients of the selected families; zero of those that are not taken out."""
+    products, solution, kinds = (
+        selection.products,
+        selection.solution,
+        tuple(selection.variances),
+    )
+    p = products.p
+    counts = [len(products.places[kind]) for kind in kinds]
+    taken = np.repeat([kind in selection.taken for kind in kinds], counts)
     coefficients = np.where(taken, solution.values[p:], 0.0)
     variance = np.repeat([*selection.variances.values()], counts)
     spread = np.diag(np.where(taken, 0.0, variance))
     spread += np.outer(taken, taken) * solution.covariance[p:, p:]
     spread += DOUBT**2 * np.outer(coefficients, coefficients)
-    tree = rows.linearizer.problem.tree
-    each = [_estimate_of(selection, by_kind[kind], tree) for kind in selection.gains]
-    kept = [selection.kept.get(kind, np.zeros(0, int)) for kind in selection.variances]
-    correction = ModelErrorCorrection(
-        families=tuple(selection.variances),
+    kept = [selection.kept.get(kind, np.zeros(0, int)) for kind in kinds]
+    return ModelErrorCorrection(
+        families=kinds,
         counts=tuple(counts),
         columns=tuple(tuple(columns.tolist()) for columns in kept),
         coefficients=coefficients,
@@ -244,13 +281,9 @@ def _model_errors(
         gain=np.zeros((rows.columns.shape[2], len(coefficients))),
         sizes=rows.linearizations[0].sizes,
     )
-    effect = ModelErrorEffect(spread, *_reduced(products, rows.columns.shape[2]))
-    return ModelErrors(
-        tuple(each), correction, effect, selection.taken, rows.linearizer.values
-    )
 
 
-def _reduced(products: Products, count: int) -> tuple[Array, Array]:
+def _reduced(products: ProjectedRows, count: int) -> tuple[Array, Array]:
     """Information of data on the robot's unknowns, (p, p), and products with families, (p, k).
 
     Args:

@@ -62,7 +62,7 @@ class RowNoise(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class RegressionRows:
     """Rows of unknowns, families and measurements.
 
     Attributes:
@@ -141,10 +141,12 @@ class Solution(NamedTuple):
     freedom: float
 
 
-class Products:
+class ProjectedRows:
     """White rows with the unknowns projected out: what any variances of families need to know."""
 
-    def __init__(self, rows: Rows, kinds: Sequence[str], noise: RowNoise) -> None:
+    def __init__(
+        self, rows: RegressionRows, kinds: Sequence[str], noise: RowNoise
+    ) -> None:
         """White rows of unknowns and some families.
 
         Args:
@@ -234,6 +236,16 @@ class Products:
             known = solve_triangular(root, moment[others], lower=True)
             own, right = own - across.T @ across, right - across.T @ known
             rss = max(rss - float(known @ known), TINY)
+        return self._best(own, right, rss)
+
+    def _best(self, own: Array, right: Array, rss: float) -> tuple[float, float]:
+        """Largest gain, and the variance that has it.
+
+        Args:
+            own: Products of a family's columns, (k, k).
+            right: Of these and the measurements, (k,).
+            rss: Squares of the measurements.
+        """
         sizes, axes = eigh((own + own.T) / 2)
         seen = sizes > DEPENDENT * max(float(sizes.max(initial=0.0)), TINY)
         along = (axes.T @ right)[seen] ** 2

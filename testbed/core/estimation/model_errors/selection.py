@@ -12,9 +12,9 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.model_errors.family import ModelErrorFamily
 from testbed.core.estimation.model_errors.held_out_rows import predictive
 from testbed.core.estimation.model_errors.restricted_likelihood import (
-    Products,
+    ProjectedRows,
+    RegressionRows,
     RowNoise,
-    Rows,
     Solution,
 )
 
@@ -57,10 +57,10 @@ class Selection:
             laws, last, are no terms, and predict held-out rows.
     """
 
-    products: Products
+    products: ProjectedRows
     variances: Mapping[str, float]
     gains: Mapping[str, float]
-    plain: Products
+    plain: ProjectedRows
     kept: Mapping[str, NDArray[np.intp]]
     taken: tuple[str, ...]
 
@@ -80,7 +80,7 @@ class _Model:
         score: Log likelihood, less what the choice among alternatives costs.
     """
 
-    products: Products
+    products: ProjectedRows
     variances: Mapping[str, float] = field(default_factory=dict)
     score: float = 0.0
 
@@ -90,7 +90,7 @@ class Selector:
 
     def __init__(
         self,
-        rows: Rows,
+        rows: RegressionRows,
         families: Sequence[ModelErrorFamily],
         encoder_share: Callable[[Array], float],
     ) -> None:
@@ -108,7 +108,7 @@ class Selector:
         self._costs = dict.fromkeys(rows.families, 0.0)
         self._kept = dict[str, NDArray[np.intp]]()
         noise = self._plain_noise()
-        self._plain = _scored(Products(rows, (), noise), {}, 0.0)
+        self._plain = _scored(ProjectedRows(rows, (), noise), {}, 0.0)
         share = min(encoder_share(noise.total**2), 1.0)
         for family in families:
             self._costs[family.kind] += NOISY * share * family.noisy
@@ -120,11 +120,11 @@ class Selector:
         rows = self._rows
         noise = _white(rows.noise(rows.measured, 0.0))
         for _ in range(ROUNDS + 1):
-            noise = self._noise_beside(Products(rows, (), noise), {})
+            noise = self._noise_beside(ProjectedRows(rows, (), noise), {})
         return noise
 
     def _noise_beside(
-        self, products: Products, chosen: Mapping[str, float]
+        self, products: ProjectedRows, chosen: Mapping[str, float]
     ) -> RowNoise:
         """Noise of what unknowns and families leave."""
         rows, solution = self._rows, products.solve(chosen)
@@ -187,7 +187,7 @@ class Selector:
         if not order:
             return ()
         kinds, noise = tuple(model.variances), _white(model.products.noise)
-        products = Products(self._rows, kinds, noise)
+        products = ProjectedRows(self._rows, kinds, noise)
         variances = np.array([model.variances[kind] for kind in order])
         return tuple(order[: predictive(products, order, variances)])
 
@@ -198,7 +198,7 @@ class Selector:
         makes much of what no model explains.
         """
         noise = _white(model.products.noise)
-        products = Products(self._rows, tuple(model.variances), noise)
+        products = ProjectedRows(self._rows, tuple(model.variances), noise)
         return replace(model, products=products)
 
     @property
@@ -214,7 +214,7 @@ class Selector:
         plain = self._plain.products.noise
         white = _white(plain)
         every = dict.fromkeys(self._known, 1.0)
-        return self._noise_beside(Products(self._rows, self._known, white), every)
+        return self._noise_beside(ProjectedRows(self._rows, self._known, white), every)
 
     def _forward(
         self,
@@ -224,7 +224,7 @@ class Selector:
         most: int,
     ) -> dict[str, float]:
         """Families chosen one by one under a given noise, with their variances."""
-        products = Products(self._rows, among, noise)
+        products = ProjectedRows(self._rows, among, noise)
         chosen = products.tuned(start, 2)
         while len(chosen) < most:
             gains = {
@@ -258,12 +258,12 @@ class Selector:
         """Noise and variances of a set, estimated in turn."""
         kinds, variances = tuple(chosen), dict(chosen)
         for _ in range(ROUNDS):
-            products = Products(self._rows, kinds, noise)
+            products = ProjectedRows(self._rows, kinds, noise)
             variances = products.tuned(variances, 1)
             noise = self._noise_beside(products, variances)
         kinds = tuple(variances)
         cost = sum(self._costs[kind] for kind in kinds)
-        return _scored(Products(self._rows, kinds, noise), variances, cost)
+        return _scored(ProjectedRows(self._rows, kinds, noise), variances, cost)
 
     def _pruned(self, model: _Model) -> tuple[_Model, dict[str, float]]:
         """Families without which the likelihood falls by less than ALARM are left out."""
@@ -298,6 +298,8 @@ def _score(model: _Model) -> float:
     return model.score
 
 
-def _scored(products: Products, variances: Mapping[str, float], cost: float) -> _Model:
+def _scored(
+    products: ProjectedRows, variances: Mapping[str, float], cost: float
+) -> _Model:
     """Model with its log likelihood."""
     return _Model(products, variances, products.likelihood(variances) - cost)

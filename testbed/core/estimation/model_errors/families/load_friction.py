@@ -9,7 +9,7 @@ from testbed.core.estimation.model_errors.family import JointFamily
 from testbed.core.estimation.model_errors.linearization import Linearization
 
 
-class LoadFriction(JointFamily):
+class FrictionByLoad(JointFamily):
     """Friction in proportion to the load."""
 
     kind = "load_friction"

@@ -12,7 +12,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 from testbed.core.robot.tree import Tree
 
 
-class Tilt(FrameFamily):
+class BaseTilt(FrameFamily):
     """A base that is not level."""
 
     kind = "tilt"

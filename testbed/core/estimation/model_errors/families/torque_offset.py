@@ -9,7 +9,7 @@ from testbed.core.estimation.model_errors.family import JointFamily
 from testbed.core.estimation.model_errors.linearization import Linearization
 
 
-class TorqueOffset(JointFamily):
+class ConstantTorque(JointFamily):
     """Constant torques of the joints."""
 
     kind = "torque_offset"
