@@ -58,6 +58,8 @@ class SystematicError(SensorError):
     term: ClassVar[str]
     """Name among the unknowns of an estimate, before the slash of coefficients' names; default the
     kind."""
+    remedy: ClassVar[str] = ""
+    """What a person should do about it; default to estimate it."""
     estimated: ClassVar[bool] = True
     """Whether an estimate may have the coefficients among its unknowns; else they are tested."""
     estimated_as: ClassVar[str] = ""

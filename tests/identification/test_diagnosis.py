@@ -17,7 +17,6 @@ from testbed.core.base.diagnostics import from_json, messages, ordered, phrase
 from testbed.core.estimation.diagnostics.torques import cross_check, diagnostics_of, torque_factor
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.recordings.recording import Recording
-from testbed.sensors.catalogue import candidate_errors
 from tests.helpers.ideal import plus
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT
@@ -221,7 +220,7 @@ def a_case(code: str, method: str = "", significance: float | None = None) -> tb
 
 
 CONSTANT = a_case("torque.constant", "internal", 90.0)
-CLOCK = a_case("sensor.skew", "external", 30.0)
+CLOCK = a_case("plate.skew", "external", 30.0)
 ENCODER = a_case("encoder.range")
 
 
@@ -297,6 +296,4 @@ def codes_in(code: ast.expr) -> list[str]:
         return [str(code.value)]
     assert isinstance(code, ast.JoinedStr), ast.dump(code)
     start = code.values[0].value if isinstance(code.values[0], ast.Constant) else ""
-    if start == "sensor.":
-        return [f"sensor.{error.term}" for error in candidate_errors()]
     return [known for known in messages() if known.startswith(str(start))]

@@ -26,7 +26,7 @@ class Diagnostic:
     """One thing that a person should know of a result.
 
     Attributes:
-        code: Its kind, such as "sensor.skew": a key of the table of messages.
+        code: Its kind, such as "plate.tare": a key of the table of messages.
         text: What is the case, numbers included.
         level: How grave it is.
         subject: Which channel, joint, parameter or file.

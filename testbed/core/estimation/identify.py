@@ -193,7 +193,9 @@ def _beside_model_errors(
         correction=errors.lasting
         and replace(errors.correction, gain=gain).of(errors.taken),
     )
-    every = [*faults, *estimate.diagnostics, *model_error_diagnostics(estimate)]
+    known = {d.code for d in estimate.diagnostics}
+    more = [d for d in faults if d.code not in known]
+    every = [*model_error_diagnostics(estimate), *more, *estimate.diagnostics]
     return problem, replace(estimate, diagnostics=ordered(every))
 
 

@@ -28,6 +28,7 @@ class EncoderDelay(EncoderError):
     """
 
     kind: ClassVar[str] = "encoder_delay"
+    remedy: ClassVar[str] = "read all encoders at one instant"
     term: ClassVar[str] = "encoder_delays"
     stage: ClassVar[StageOrder] = StageOrder.CLOCK
     estimated: ClassVar[bool] = False

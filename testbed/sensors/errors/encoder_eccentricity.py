@@ -30,6 +30,7 @@ class EncoderEccentricity(EncoderError):
     """
 
     kind: ClassVar[str] = "encoder_eccentricity"
+    remedy: ClassVar[str] = "correct the encoders once a turn"
     term: ClassVar[str] = "eccentricity"
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     estimated: ClassVar[bool] = False

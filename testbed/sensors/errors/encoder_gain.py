@@ -22,6 +22,7 @@ class EncoderGain(EncoderError):
     """
 
     kind: ClassVar[str] = "encoder_gain"
+    remedy: ClassVar[str] = "correct the encoders' scales"
     term: ClassVar[str] = "encoder_gains"
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     estimated: ClassVar[bool] = False

@@ -24,6 +24,9 @@ class PlateClockRate(ClockError):
     """
 
     kind: ClassVar[str] = "plate_clock_rate"
+    remedy: ClassVar[str] = (
+        "give plate and encoders one clock; or cut the recording and estimate each part's skew"
+    )
     term: ClassVar[str] = "clock_rate"
     fixed: ClassVar[tuple[Coefficient, ...]] = (Coefficient("clock_rate", ""),)
     stage: ClassVar[StageOrder] = StageOrder.CLOCK

@@ -35,6 +35,7 @@ class PlateCrosstalk(PlateError):
     """
 
     kind: ClassVar[str] = "plate_crosstalk"
+    remedy: ClassVar[str] = "calibrate the plate"
     term: ClassVar[str] = "crosstalk"
     fixed: ClassVar[tuple[Coefficient, ...]] = tuple(
         Coefficient(SENSITIVITIES[k].name, "") for k in MIXED

@@ -22,6 +22,7 @@ class PlateGain(PlateError):
     """
 
     kind: ClassVar[str] = "plate_gain"
+    remedy: ClassVar[str] = "calibrate the plate"
     term: ClassVar[str] = "gains"
     fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("gains", [""] * 6)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR

@@ -16,6 +16,7 @@ class SamplingRate(SystematicError):
     """Time between samples that is not what their stamps say: velocities are too large."""
 
     kind: ClassVar[str] = "sampling_rate"
+    remedy: ClassVar[str] = "count the samples of a known time, and look for lost ones"
     term: ClassVar[str] = "sampling"
     fixed: ClassVar[tuple[Coefficient, ...]] = (Coefficient("sampling", ""),)
     signal: ClassVar[Signal] = "position"

@@ -8,7 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import messages, phrase
+from testbed.core.base.diagnostics import phrase
 from testbed.core.estimation.estimate import METHODS
 from testbed.core.estimation.model_errors.family import ModelErrorFamily
 from testbed.core.estimation.model_errors.linearization import Linearization
@@ -38,8 +38,8 @@ class SensorFamily(ModelErrorFamily):
         self.error = error
         self.kind = error.term
         self.label = self.meaning = phrase(error.term)
-        message = messages().get(f"sensor.{error.term}", messages()["sensor.other"])
-        self.remedy = message.remedy.format(kind=error.term)
+        ours = f"--set 'identification.nuisances=[\"{error.term}\"]'"
+        self.remedy = error.remedy or f"estimate it with the parameters: {ours}"
         plate = issubclass(error, PlateError | ClockError)
         self.methods = ("external",) if plate else METHODS
         self.lasting = not error.of_one_recording

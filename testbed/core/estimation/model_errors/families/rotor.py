@@ -15,7 +15,7 @@ class Rotor(JointFamily):
     kind = "rotor"
     label = "inertia of rotors"
     meaning = "torques of motors that accelerate their rotors"
-    remedy = 'estimate it: --terms with "rotor"'
+    remedy = "estimate it: --terms coulomb,viscous,offset,rotor"
 
     def torques(self, at: Linearization) -> Array:
         """Accelerations, (m, n, 1) [N m or N]."""

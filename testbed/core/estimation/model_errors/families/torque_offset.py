@@ -17,7 +17,7 @@ class ConstantTorque(JointFamily):
     meaning = (
         "an amplifier with a zero error, or a spring or weight with a constant torque"
     )
-    remedy = 'estimate them: --terms with "offset"'
+    remedy = "estimate them: --terms coulomb,viscous,offset"
 
     def torques(self, at: Linearization) -> Array:
         """Constants, (m, n, 1) [N m or N]."""
