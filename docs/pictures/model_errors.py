@@ -37,7 +37,7 @@ def main() -> None:
         families = [f for f in model_error_families() if f.physical and method in f.methods]
         unknowns = rows.whitened(rows.columns)
         for family in families:
-            columns = rows.families([family])[family.kind]
+            columns = rows.families([family])[0][family.kind]
             some = np.random.default_rng(1).normal(size=columns.shape[2])
             signal = columns @ (some / np.sqrt(columns.shape[2]))
             flat = unknowns.reshape(-1, unknowns.shape[2])

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.model_errors.family import ModelErrorFamily
+from testbed.core.estimation.model_errors.family import (
+    JointFamily,
+    ModelErrorFamily,
+    by_channel,
+)
 from testbed.core.estimation.model_errors.linearization import Linearization
 from testbed.core.estimation.model_errors.linearizer import (
     Linearizer,
@@ -80,8 +84,10 @@ class ErrorRows:
         """Whether a row counts, (C, R)."""
         return np.asarray(self.columns.any(axis=2))
 
-    def families(self, families: Sequence[ModelErrorFamily]) -> dict[str, Array]:
-        """Columns of families by kind, (C, R, k) each, whitened of rests.
+    def families(
+        self, families: Sequence[ModelErrorFamily]
+    ) -> tuple[dict[str, Array], dict[str, Indices]]:
+        """Columns of families by kind, (C, R, k) each, whitened of rests; alternatives kept.
 
         They are made of fewer instants than the unknowns' columns are. What unknowns imitate of
         them is taken from columns made alike, so that no such difference passes for an effect.
@@ -89,10 +95,8 @@ class ErrorRows:
         Args:
             families: Of model errors.
         """
-        columns = [
-            self._at_rows([family.columns(at) for at in self.linearizations])
-            for family in families
-        ]
+        kept = dict[str, Indices]()
+        columns = [self._of_family(family, kept) for family in families]
         every = np.concatenate(columns, axis=2)
         alike = self._at_rows(
             [self.linearizer.unknowns(at.motion) for at in self.linearizations]
@@ -104,7 +108,31 @@ class ErrorRows:
         every = self.whitened(every + (self.columns - alike) @ imitated)
         ends = np.cumsum([each.shape[2] for each in columns])[:-1]
         kinds = [family.kind for family in families]
-        return dict(zip(kinds, np.split(every, ends, axis=2), strict=True))
+        return dict(zip(kinds, np.split(every, ends, axis=2), strict=True)), kept
+
+    def _of_family(self, family: ModelErrorFamily, kept: dict[str, Indices]) -> Array:
+        """Columns of a family at the rows, (C, R, k); places of the best alternatives in `kept`."""
+        if not isinstance(family, JointFamily):
+            return self._at_rows([family.columns(at) for at in self.linearizations])
+        own = self._at_rows([family.torques(at) for at in self.linearizations])
+        if family.alternatives > 1:
+            own, kept[family.kind] = self._best(own, family.alternatives)
+        return by_channel(own)
+
+    def _best(self, columns: Array, count: int) -> tuple[Array, Indices]:
+        """Pair of columns of each channel, (C, R, 2), that explains most, and their places.
+
+        Args:
+            columns: Pairs of each channel, (C, R, 2 count).
+            count: Of pairs.
+        """
+        residual = self.used * (self.measured - self.columns @ self.linearizer.values)
+        across = (columns * residual[..., None]).sum(axis=1) ** 2
+        explained = across / np.maximum((columns**2).sum(axis=1), TINY)
+        pairs = explained.reshape(len(columns), count, 2).sum(axis=2)
+        own = 2 * pairs.argmax(axis=1)[:, None] + np.arange(2)
+        places = 2 * count * np.arange(len(columns))[:, None] + own
+        return np.take_along_axis(columns, own[:, None], axis=2), places.ravel()
 
     def _at_rows(self, signals: Sequence[Array]) -> Array:
         """Signals of the windows, (m, C, k) each, filtered at the rows, (C, R, k)."""

@@ -5,10 +5,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
+import numpy as np
+
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.model_errors.linearization import Linearization
 from testbed.core.robot.tree import Tree
+
+
+def by_channel(columns: Array) -> Array:
+    """Columns of each channel alone, (C, R, C k), of k columns of each, (C, R, k)."""
+    channels, rows, count = columns.shape
+    found = np.zeros((channels, rows, channels, count))
+    found[range(channels), :, range(channels)] = columns
+    return found.reshape(channels, rows, -1)
 
 
 class ModelErrorFamily(ABC):
@@ -63,6 +73,16 @@ class ModelErrorFamily(ABC):
             at: Motion and forces.
         """
 
+    def some(self, at: Linearization, kept: Sequence[int]) -> Array:
+        """Some of the columns, (m, C, k); all where none is named.
+
+        Args:
+            at: Motion and forces.
+            kept: Which.
+        """
+        columns = self.columns(at)
+        return columns[:, :, list(kept)] if kept else columns
+
 
 class JointFamily(ModelErrorFamily):
     """Model errors of single joints' torques."""
@@ -71,7 +91,18 @@ class JointFamily(ModelErrorFamily):
 
     def columns(self, at: Linearization) -> Array:
         """Effects on the torques, each joint's by itself, (m, n, n k) [N m or N]."""
-        return at.joints(self.torques(at))
+        return by_channel(self.torques(at).transpose(1, 0, 2)).transpose(1, 0, 2)
+
+    def some(self, at: Linearization, kept: Sequence[int]) -> Array:
+        """Some of the columns, (m, n, k); of many alternatives the others are not made."""
+        if not kept:
+            return self.columns(at)
+        torques = self.torques(at)
+        columns = np.zeros((*torques.shape[:2], len(kept)))
+        for k, place in enumerate(kept):
+            joint, own = divmod(place, torques.shape[2])
+            columns[:, joint, k] = torques[:, joint, own]
+        return columns
 
     @abstractmethod
     def torques(self, at: Linearization) -> Array:

@@ -98,17 +98,6 @@ class Linearization:
         change = self.displaced(0, displacements)
         return change.reshape(*change.shape[:2], -1)
 
-    def joints(self, torques: Array) -> Array:
-        """Torques of each joint alone as columns, (m, n, n k).
-
-        Args:
-            torques: k of each joint, (m, n, k) [N m or N].
-        """
-        samples, joints, count = torques.shape
-        columns = np.zeros((samples, joints, joints, count))
-        columns[:, range(joints), range(joints)] = torques
-        return columns.reshape(samples, joints, -1)
-
     def rows(self, signals: Array) -> Array:
         """Signals at the instants, (m, C, k), filtered at the rows, (C, rows, k)."""
         found = filtered(signals, self.filter.weights, self.filter.step)

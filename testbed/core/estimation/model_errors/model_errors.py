@@ -8,7 +8,7 @@ Source    [KO01] for doubt about a model counted in the estimate
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -94,8 +94,7 @@ def signal_of(
     by_kind = {each.kind: each for each in model_error_families()}
     every = []
     for kind, kept in zip(correction.families, correction.columns, strict=True):
-        columns = by_kind[kind].columns(at)
-        every.append(columns[:, :, list(kept)] if kept else columns)
+        every.append(by_kind[kind].some(at, kept))
     columns = np.concatenate(every, axis=2)
     return np.asarray(columns @ correction.coefficients), columns
 
@@ -195,11 +194,11 @@ def find_model_errors(
     ]
     beside = [SensorFamily(e) for e in estimable_errors() if e.term in estimated]
     own = [each for each in beside if problem.method in each.methods]
-    given = _beside(rows, families, own, known)
+    given, kept = _beside(rows, families, own, known)
     selection = Selector(given, families, rows.encoder_share).select()
     if not selection.variances:
         return None
-    return _model_errors(rows, families, selection)
+    return _model_errors(rows, families, selection, kept)
 
 
 def _beside(
@@ -207,8 +206,8 @@ def _beside(
     families: Sequence[ModelErrorFamily],
     own: Sequence[ModelErrorFamily],
     known: Array,
-) -> RegressionRows:
-    """White rows of unknowns, among them those of sensors, and families.
+) -> tuple[RegressionRows, dict[str, Indices]]:
+    """White rows of unknowns, among them those of sensors, and families; alternatives kept.
 
     Args:
         rows: Of the robot's unknowns.
@@ -216,14 +215,14 @@ def _beside(
         own: Sensors' errors that are estimated.
         known: Of the robot's unknowns before the data, (r, p + 1).
     """
-    columns = rows.families([*families, *own])
+    columns, kept = rows.families([*families, *own])
     others = [columns.pop(each.kind) for each in own]
     unknowns = np.concatenate([rows.whitened(rows.columns), *others], axis=2)
     more = unknowns.shape[2] + 1 - known.shape[1]
     known = np.insert(known, [-1] * more, 0.0, axis=1)
     measured = rows.whitened(rows.measured[..., None])[..., 0]
     used = np.asarray(unknowns.any(axis=2))
-    return RegressionRows(unknowns, measured, used, columns, known)
+    return RegressionRows(unknowns, measured, used, columns, known), kept
 
 
 def _prior_rows(prior: Gaussian | None, count: int) -> Array:
@@ -240,11 +239,14 @@ def _prior_rows(prior: Gaussian | None, count: int) -> Array:
 
 
 def _model_errors(
-    rows: ErrorRows, families: Sequence[ModelErrorFamily], selection: Selection
+    rows: ErrorRows,
+    families: Sequence[ModelErrorFamily],
+    selection: Selection,
+    kept: Mapping[str, Indices],
 ) -> ModelErrors:
     """Estimates of the selected families."""
     by_kind, tree = {each.kind: each for each in families}, rows.linearizer.problem.tree
-    correction = _correction(rows, selection)
+    correction = _correction(rows, selection, kept)
     count = rows.columns.shape[2]
     effect = ModelErrorEffect(correction.spread, *_reduced(selection.products, count))
     return ModelErrors(
@@ -256,7 +258,9 @@ def _model_errors(
     )
 
 
-def _correction(rows: ErrorRows, selection: Selection) -> ModelErrorCorrection:
+def _correction(
+    rows: ErrorRows, selection: Selection, kept: Mapping[str, Indices]
+) -> ModelErrorCorrection:
     """Coefficients of the selected families; zero of those that are not taken out."""
     products, solution, kinds = (
         selection.products,
@@ -266,16 +270,19 @@ def _correction(rows: ErrorRows, selection: Selection) -> ModelErrorCorrection:
     p = products.p
     counts = [len(products.places[kind]) for kind in kinds]
     taken = np.repeat([kind in selection.taken for kind in kinds], counts)
+    named = np.repeat([selection.gains[kind] >= SURE for kind in kinds], counts)
     coefficients = np.where(taken, solution.values[p:], 0.0)
     variance = np.repeat([*selection.variances.values()], counts)
-    spread = np.diag(np.where(taken, 0.0, variance))
-    spread += np.outer(taken, taken) * solution.covariance[p:, p:]
-    spread += DOUBT**2 * np.outer(coefficients, coefficients)
-    kept = [selection.kept.get(kind, np.zeros(0, int)) for kind in kinds]
+    spread = np.diag(np.where(named, 0.0, variance))
+    spread += np.outer(named, named) * solution.covariance[p:, p:]
+    # of what is taken out a part is doubted, of what is named else all
+    doubted = np.where(named, solution.values[p:], 0.0) * np.where(taken, DOUBT, 1.0)
+    spread += np.outer(doubted, doubted)
+    none = np.zeros(0, np.intp)
     return ModelErrorCorrection(
         families=kinds,
         counts=tuple(counts),
-        columns=tuple(tuple(columns.tolist()) for columns in kept),
+        columns=tuple(tuple(kept.get(kind, none).tolist()) for kind in kinds),
         coefficients=coefficients,
         spread=spread,
         gain=np.zeros((rows.columns.shape[2], len(coefficients))),
@@ -335,10 +342,13 @@ def _estimate_of(
 def _effect(selection: Selection, kind: str, part: Array) -> tuple[Array, Array]:
     """Rms of a family's part beside the parameters, and over that of the residual, (C,) each."""
     products = selection.products
-    rows, at = products.rows, products.places[kind]
-    signal = rows.families[kind] @ part
-    signal = signal - rows.columns @ (products.shift[:, at] @ part)
-    plain = selection.plain.shift[:, -1]
-    residual = (rows.measured - rows.columns @ plain) * rows.used
-    rms = [np.sqrt((x**2).sum(axis=1) / rows.count) for x in (signal, residual)]
-    return rms[0], rms[0] / np.maximum(rms[1], TINY)
+    rows, total = products.rows, products.noise.total
+    signals = np.stack([rows.families[kind] @ part, rows.measured], axis=2)
+    scale = (rows.used / total[:, None])[..., None]
+    unknowns, scaled = (
+        (each * scale).reshape(-1, each.shape[2]) for each in (rows.columns, signals)
+    )
+    imitated = np.linalg.lstsq(unknowns, scaled, KNOWN)[0]
+    left = (signals - rows.columns @ imitated) * rows.used[..., None]
+    rms = np.sqrt((left**2).sum(axis=1) / rows.count[:, None])
+    return rms[:, 0], rms[:, 0] / np.maximum(rms[:, 1], TINY)

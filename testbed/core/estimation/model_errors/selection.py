@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.model_errors.family import ModelErrorFamily
@@ -52,7 +51,6 @@ class Selection:
         variances: By kind, in squares of plausible sizes.
         gains: Log likelihood that each is worth, all else estimated anew without it, by kind.
         plain: Of the unknowns alone.
-        kept: Columns that were kept of families with alternatives, by kind.
         taken: Kinds of families to be taken out of the measurements: they are sure, follow from
             laws, last, are no terms, and predict held-out rows.
     """
@@ -61,7 +59,6 @@ class Selection:
     variances: Mapping[str, float]
     gains: Mapping[str, float]
     plain: ProjectedRows
-    kept: Mapping[str, NDArray[np.intp]]
     taken: tuple[str, ...]
 
     @property
@@ -94,7 +91,7 @@ class Selector:
         families: Sequence[ModelErrorFamily],
         encoder_share: Callable[[Array], float],
     ) -> None:
-        """Fit the unknowns alone, and choose each joint's best alternatives.
+        """Fit the unknowns alone.
 
         Args:
             rows: Of unknowns, measurements and all families.
@@ -106,14 +103,14 @@ class Selector:
             f.kind for f in families if f.physical and f.lasting and not f.is_term
         }
         self._costs = dict.fromkeys(rows.families, 0.0)
-        self._kept = dict[str, NDArray[np.intp]]()
         noise = self._plain_noise()
         self._plain = _scored(ProjectedRows(rows, (), noise), {}, 0.0)
         share = min(encoder_share(noise.total**2), 1.0)
         for family in families:
             self._costs[family.kind] += NOISY * share * family.noisy
             if family.alternatives > 1:
-                self._choose_alternatives(family, noise)
+                pairs = rows.families[family.kind].shape[2] // 2
+                self._costs[family.kind] += pairs * float(np.log(family.alternatives))
 
     def _plain_noise(self) -> RowNoise:
         """Noise of what the unknowns alone leave."""
@@ -134,24 +131,6 @@ class Selector:
             blocks = [rows.families[kind] for kind in chosen]
             residual = residual - np.concatenate(blocks, axis=2) @ more
         return rows.noise(residual * rows.used, solution.freedom)
-
-    def _choose_alternatives(self, family: ModelErrorFamily, noise: RowNoise) -> None:
-        """Keep the alternative of each joint that explains most of the plain residual."""
-        rows, kind = self._rows, family.kind
-        columns = rows.families[kind]
-        count = family.alternatives
-        values = self._plain.products.solve({}).values
-        residual = (rows.measured - rows.columns @ values)[..., None]
-        white, left = rows.whitened(columns, noise), rows.whitened(residual, noise)
-        size = np.maximum((white**2).sum(axis=0), 1e-12)
-        explained = (white.T @ left)[:, 0] ** 2 / size
-        joints = columns.shape[2] // (2 * count)
-        best = explained.reshape(joints, count, 2).sum(axis=2).argmax(axis=1)
-        places = np.arange(columns.shape[2]).reshape(joints, count, 2)
-        kept = self._kept[kind] = places[np.arange(joints), best].ravel()
-        families = {**rows.families, kind: columns[:, :, kept]}
-        self._rows = replace(rows, families=families)
-        self._costs[kind] += joints * float(np.log(count))
 
     def select(self) -> Selection:
         """Families in the order of their gains, chosen forward from two starts."""
@@ -176,7 +155,6 @@ class Selector:
             best.variances,
             gains,
             plain.products,
-            self._kept,
             self._taken(best, gains),
         )
 
