@@ -137,11 +137,12 @@ class Selector:
         rows, plain = self._rows, self._plain
         best = plain
         if rows.used.sum() >= FEWEST * rows.columns.shape[2]:
-            noise = plain.products.noise
+            noise, wide = plain.products.noise, self._wide_noise()
             first = self._forward(noise, tuple(rows.families), {}, MOST)
-            found = [first, self._forward(self._wide_noise(), self._known, {}, 2)]
-            for chosen in found if set(found[1]) - set(first) else found[:1]:
-                best = max(best, self._settled(chosen, noise), key=_score)
+            second = self._forward(wide, self._known, {}, 2)
+            best = max(best, self._settled(first, noise), key=_score)
+            if set(second) - set(first):
+                best = max(best, self._settled(second, wide), key=_score)
             if best.variances:
                 noise = best.products.noise
                 more = self._forward(noise, tuple(rows.families), best.variances, MOST)
