@@ -32,6 +32,9 @@ MOST = 4
 PREFERENCE = 0.6
 """Part of an unknown family's gain with which a physical one is preferred."""
 
+NEARLY = 0.85
+"""Part of the largest gain with which a family of fewer columns is preferred."""
+
 ROUNDS = 3
 """Times that noise and variances are estimated in turn."""
 
@@ -225,13 +228,16 @@ class Selector:
         return chosen
 
     def _preferred(self, scores: Mapping[str, float]) -> str:
-        """The family of the largest gain, a physical one if it is nearly as good."""
-        best = max(scores, key=lambda kind: scores[kind])
-        known = [kind for kind in scores if kind in self._physical]
-        if best in self._physical or not known:
-            return best
-        physical = max(known, key=lambda kind: scores[kind])
-        return physical if scores[physical] > PREFERENCE * scores[best] else best
+        """Family of the largest gain; a physical or smaller one if it is nearly as good."""
+        best = max(scores.values())
+        known = {k: v for k, v in scores.items() if k in self._physical}
+        if not known or max(known.values()) <= PREFERENCE * best:
+            return max(scores, key=lambda kind: scores[kind])
+        least = NEARLY * max(known.values())
+        columns = {
+            k: self._rows.families[k].shape[2] for k, v in known.items() if v >= least
+        }
+        return min(columns, key=lambda kind: (columns[kind], -known[kind]))
 
     def _settled(self, chosen: Mapping[str, float], noise: RowNoise) -> _Model:
         """Noise and variances of a set, estimated in turn."""
