@@ -153,7 +153,7 @@ def mean_inertia(rigid: Plant) -> Array:
                 forces.append(data.qfrc_inverse.copy())
             columns.append(forces[0] - forces[1])
         found.append(np.diagonal(np.stack(columns)))
-    return np.mean(found, axis=0)
+    return np.asarray(np.mean(found, axis=0))
 
 
 def motion(joints: int, seed: int) -> tuple[Array, Array, Array]:

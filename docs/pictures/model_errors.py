@@ -1,4 +1,4 @@
-"""What each family of model errors leaves in the measurements, `python -m docs.pictures.model_errors`.
+"""Model errors beside the parameters, a panel a family: `python -m docs.pictures.model_errors`.
 
 A plausible size of each, beside the parameters, in the channel that shows it most.
 """
