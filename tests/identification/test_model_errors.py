@@ -165,3 +165,9 @@ def test_what_nobody_knows_is_said_and_only_widens() -> None:
     if not any(each.corrected for each in found.model_errors):
         np.testing.assert_array_equal(found.values, plain.values)
         assert (found.sigma >= plain.sigma * (1 - 1e-12)).all()
+
+
+def test_of_a_few_rows_nothing_is_sought(puma: tb.Tree) -> None:
+    """A recording of a second has no more rows than an autoregression has coefficients."""
+    log = recorded(puma, elsewhere, 1, 1.1)
+    assert not tb.identify(puma, log, "wrench", zeros=True).model_errors

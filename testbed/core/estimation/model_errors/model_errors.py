@@ -57,6 +57,9 @@ from testbed.sensors.catalogue import estimable_errors
 DOUBT = 0.3
 """Part of a correction that is doubted."""
 
+FEWEST = 50
+"""Rows of a channel; of fewer nothing is sought."""
+
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
@@ -184,6 +187,8 @@ def find_model_errors(
     """
     known = _prior_rows(prior, len(values))
     rows = error_rows(problem, source, values, known)
+    if rows.used.sum(axis=1).max() < FEWEST:
+        return None
     families = [
         family
         for family in model_error_families()
