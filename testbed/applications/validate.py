@@ -172,6 +172,44 @@ def friction(speed: Array, estimate: Estimate) -> Array:
     return own_torque(steady, estimate)
 
 
+def variances(
+    tree: Tree, recording: Recording, motion: Motion, estimate: Estimate
+) -> Array:
+    """Variances of predictions of an estimate's own signal by its covariance, (M, C).
+
+    Args:
+        tree: The robot; its masses do not matter.
+        recording: Says its gravity.
+        motion: M samples.
+        estimate: Of either method.
+    """
+    tree = in_its_gravity(tree, recording)
+    terms = () if estimate.drives is None else estimate.drives.terms
+    root = square_root(_beside_correction(estimate))
+    bodies, own = np.split(root, [estimate.minimal.count])
+    lift = np.linalg.pinv(estimate.minimal.matrix) @ bodies
+    theta = estimate.minimal.carried(lift).reshape(tree.n, 10, -1)
+    found = []
+    for first in range(0, motion.samples, BLOCK):
+        part = motion[first : first + BLOCK]
+        columns = linear(tree, part, theta)[estimate.method == "external"]
+        for term, row in zip(terms, own, strict=False):  # other unknowns follow
+            torque = term_torque(tree, term, part.qd, part.qdd)
+            columns += torque[..., None] * row
+        found.append((columns**2).sum(axis=2))
+    return np.concatenate(found)
+
+
+def _beside_correction(estimate: EstimateSummary) -> Array:
+    """Covariance without that of model errors, which is in the doubt about them, (p, p)."""
+    if estimate.correction is None:
+        return estimate.covariance
+    return np.asarray(estimate.covariance - estimate.correction.covariance)
+
+
+BLOCK = 4096
+"""Samples whose variances are computed together."""
+
 LEVEL = 1.96
 """Standard deviations within which 95 % of a normal distribution are."""
 
@@ -365,14 +403,13 @@ def _validation(
     problem: Problem, source: Source, estimate: EstimateSummary
 ) -> Validation:
     """Residuals of another recording's rows, faults of the instrument taken back."""
-    doubt, covariance = np.zeros(len(problem.channels)), np.array(estimate.covariance)
+    doubt = np.zeros(len(problem.channels))
+    covariance = _beside_correction(estimate)
     if estimate.correction is not None:
         source = WithoutModelErrors(
             problem, source, estimate.values, estimate.correction
         )
         doubt = source.doubt
-        # what errors make is in the doubt, less what they change of the parameters
-        covariance = covariance - estimate.correction.covariance
     passes = problem.passes(2, source, whole=True)
     equations = problem.equations(passes)
     drifts = [name.startswith(SLOPE.kind + "/") for name in estimate.names]

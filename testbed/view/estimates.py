@@ -273,13 +273,22 @@ def _of_estimate(estimate: Estimate) -> Iterator[Table]:
         heads = ["model error", "gain", "rms", "part", "channel", "treated", "size"]
         rows = [_model_error(estimate, each) for each in estimate.model_errors]
         yield Table(heads, rows, "Errors of the model that the residuals show")
-    found = None if estimate.noise is None else estimate.noise.repetition
+    found = estimate.repeatable
     if found is not None:
-        shares = zip(estimate.channels, found.share, strict=True)
+        columns = zip(
+            estimate.channels,
+            found.rms,
+            estimate.channel_units,
+            found.share,
+            strict=True,
+        )
         yield Table(
-            ["channel", "part"],
-            [[channel, f"{max(0.0, share):.0%}"] for channel, share in shares],
-            f"Part of the residuals that repeats with the motion, every {found.period:.4g} s: "
+            ["channel", "rms", "part"],
+            [
+                [channel, f"{rms:.2g} {unit}", f"{share:.0%}"]
+                for channel, rms, unit, share in columns
+            ],
+            f"Part of the residuals that repeats with the motion {found.again}: "
             f"chance {_chance(found.chance)} if it were noise",
         )
 

@@ -70,7 +70,8 @@ def _measured(found: Predictions, smooth: Predictions) -> Section:
         )
     if _validated(found):
         says.append(
-            "The expected residual includes noise and the standard deviation of the prediction."
+            "The expected residual includes noise and the standard deviation of the prediction; "
+            "about 95 % of the samples should be in its band."
         )
     return Section(
         id="prediction",
@@ -103,7 +104,8 @@ def _residual_table(
     heads = ["channel", "unit", "spread (rms)"]
     heads += [f"residual rms, {name}" for name in names.values()]
     heads += [f"of spread, {name}" for name in names.values()]
-    heads += [f"of expected residual, {names[method]}" for method in _validated(found)]
+    for method in _validated(found):
+        heads += [f"of expected residual, {names[method]}", f"in band, {names[method]}"]
     rows = [
         _residual_row(found.run, channel) + _ratio_cells(found, channel)
         for channel in smooth.channels
@@ -133,12 +135,16 @@ def _validated(found: Predictions) -> list[Method]:
 
 
 def _ratio_cells(found: Predictions, channel: Channel) -> list[str]:
-    """Residuals over what noise and sigma allow; "" for what there is not."""
-    cells = []
+    """Residuals over what noise and sigma allow, part in the band; "" for what there is not."""
+    cells: list[str] = []
     for method in _validated(found):
         validation, c = found.run.validation[method], channel.index
         own = SIGNAL_OF[method] == channel.kind
-        cells.append(f"{validation.ratio[c]:.3g}" if own and validation.rows[c] else "")
+        known = bool(own and validation.rows[c])
+        cells += [
+            f"{validation.ratio[c]:.3g}" if known else "",
+            f"{validation.within[c]:.0%}" if known else "",
+        ]
     return cells
 
 

@@ -347,6 +347,7 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     found: Excitation = result("motion")
     write_motion(tmp_path / "motion.toml", found, MODELS["puma"])
     words = ["motion.duration=20", "measurement.force_noise=0.5", "measurement.moment_noise=0.1"]
+    words.append("excitation.lowest_frequency=0.2")  # as two periods in ten seconds ask for
     promised = excite(asked("puma", *words)).predicted.sigma  # of the same motion, for longer
     words += [f'motion.file="{tmp_path / "motion.toml"}"', "simulation.friction=false"]
     estimate = tb.identify(found.tree, tb.record(asked("puma", *words)), "external")

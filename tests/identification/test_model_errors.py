@@ -13,6 +13,7 @@ from testbed.applications.validate import validate
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.parameters.rules import Signal
+from testbed.core.recordings.joined import joined
 from testbed.core.robot.drive_torque import drive_torque
 from testbed.core.robot.rotations import from_vector
 from tests.helpers.measured import random_fourier
@@ -60,10 +61,13 @@ def elsewhere(tree: tb.Tree, motion: tb.Motion) -> tuple[tb.Motion, Array, Array
     return rigid(replace(tree, joints=tuple(joints)), motion)
 
 
-def recorded(tree: tb.Tree, model: Model, seed: int, duration: float = 20.0) -> tb.Recording:
-    """Twenty seconds at 200 Hz with little noise."""
+def recorded(
+    tree: tb.Tree, model: Model, seed: int, duration: float = 20.0, begin: float = 0.0
+) -> tb.Recording:
+    """Recording at 200 Hz with little noise."""
     rng = np.random.default_rng(seed)
-    motion = random_fourier(tree, rng, 1.0).at(np.arange(0, duration, 0.005))
+    motion = random_fourier(tree, rng, 1.0).at(begin + np.arange(0, duration, 0.005))
+    rng = np.random.default_rng([seed, round(1e3 * begin)])
     shown, torque, wrench = model(tree, motion)
     tare = tb.pedestal_wrench(tree)
     noise = np.repeat([0.2, 0.05], 3) * rng.normal(size=wrench.shape)
@@ -148,15 +152,30 @@ def test_another_motion_is_predicted_with_the_error_that_was_named() -> None:
     assert alone.residual.max() > 3 * validate(tree, unseen, found).residual.max()
 
 
-def test_what_nobody_knows_is_said_and_only_widens() -> None:
-    """A torque of pose and speed that no law describes."""
+@pytest.mark.parametrize("model", [rigid, elsewhere, rubbing])
+def test_a_band_of_95_percent_holds_on_another_motion(model: Model) -> None:
+    """As `validate` counts it in rows, in all channels together."""
     tree = robot("ur5")
+    estimate = tb.identify(tree, recorded(tree, model, 3), "torque")
+    other = recorded(tree, model, 4)
+    found = tb.predict(other, estimate).smoothed(5.0)
+    torques = [each for each in found.channels if each.kind == "torque"]
+    left = np.stack([each.residuals["internal"] for each in torques], axis=1)
+    within = np.abs(left) <= found.band["internal"]
+    assert within.mean() > 0.93
+    rows = validate(tree, other, estimate).within
+    np.testing.assert_allclose(within.mean(axis=0), rows, atol=0.05)
 
-    def odd(tree: tb.Tree, motion: tb.Motion) -> tuple[tb.Motion, Array, Array]:
-        _, torque, wrench = rigid(tree, motion)
-        more = np.tanh(3 * np.sin(2 * motion.q + np.roll(motion.q, 1, axis=1)))
-        return motion, torque + 0.05 * np.abs(torque).max(axis=0) * more, wrench
 
+def odd(tree: tb.Tree, motion: tb.Motion) -> tuple[tb.Motion, Array, Array]:
+    """With a torque of the pose that no law describes."""
+    _, torque, wrench = rigid(tree, motion)
+    more = np.tanh(3 * np.sin(2 * motion.q + np.roll(motion.q, 1, axis=1)))
+    return motion, torque + 0.05 * np.abs(torque).max(axis=0) * more, wrench
+
+
+def test_what_nobody_knows_is_said_and_only_widens() -> None:
+    tree = robot("ur5")
     recording = recorded(tree, odd, 3)
     found = tb.identify(tree, recording, "torque")
     plain = tb.identify(tree, recording, "torque", settings=tb.Settings(model_errors=False))
@@ -165,6 +184,33 @@ def test_what_nobody_knows_is_said_and_only_widens() -> None:
     if not any(each.corrected for each in found.model_errors):
         np.testing.assert_array_equal(found.values, plain.values)
         assert (found.sigma >= plain.sigma * (1 - 1e-12)).all()
+
+
+def test_what_repeats_with_the_motion_is_no_noise() -> None:
+    """Nearly all of an unknown torque comes again after a period; noise does not."""
+    tree = robot("ur5")
+    for model, duration, repeats in ((odd, 25.0, True), (odd, 17.0, True), (rigid, 25.0, False)):
+        found = tb.identify(tree, recorded(tree, model, 4, duration), "torque")
+        assert found.repeatable is not None
+        assert found.repeatable.period == pytest.approx(10.0, abs=0.1)
+        assert (found.repeatable.chance < 1e-6) == repeats
+        assert ("estimate.repetition" in {each.code for each in found.diagnostics}) == repeats
+        assert (found.repeatable.share.max() > 0.9) == repeats
+    assert tb.identify(tree, recorded(tree, rigid, 4, 12.0), "torque").repeatable is None
+
+
+def test_what_another_recording_of_the_motion_repeats_is_no_noise() -> None:
+    """Two recordings of nine seconds begin where they like; of another motion nothing is known."""
+    tree = robot("puma")
+    for model, repeats in ((odd, True), (rigid, False)):
+        parts = [recorded(tree, model, 5, 9.0, begin) for begin in (0.0, 0.2137)]
+        found = tb.identify(tree, joined(parts), "torque")
+        assert found.repeatable is not None
+        assert found.repeatable.recordings == 2
+        assert (found.repeatable.chance < 1e-6) == repeats
+        assert ("estimate.repetition" in {each.code for each in found.diagnostics}) == repeats
+    others = [recorded(tree, rigid, seed, 9.0) for seed in (5, 6)]
+    assert tb.identify(tree, joined(others), "torque").repeatable is None
 
 
 def test_of_a_few_rows_nothing_is_sought(puma: tb.Tree) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 import testbed as tb
 from testbed.applications.validate import motion_in
@@ -34,11 +33,8 @@ from testbed.core.estimation.noise.lagged_products import (
     fit,
 )
 from testbed.core.estimation.noise.noise_model import (
-    PeriodicResidual,
-    PeriodicSums,
     period_of,
 )
-from testbed.core.estimation.noise.whitening import WhitenedRows
 from testbed.core.recordings.metadata import three
 from testbed.core.robot.rotations import from_vector
 from tests.helpers.ideal import ideal, plus
@@ -178,50 +174,6 @@ SIX_COLOURED = Autoregression(np.tile([0.6, 0.2], (6, 1)), np.ones(6))
 def made(noise: Autoregression, rows: int, seed: int) -> Array:
     """Noise, (C, rows)."""
     return NoiseMaker(noise, 1, np.random.default_rng(seed)).rows(rows)[..., 0]
-
-
-def repetition(noise: Autoregression, left: Array, cut: int = 10**9) -> PeriodicResidual | None:
-    """What is found in residuals of a motion with a period of 100 rows, 10 s."""
-    sums = PeriodicSums(noise, 100, 10.0)
-    for first in range(0, left.shape[1], cut):
-        white = left[:, first : first + cut]
-        none = np.zeros((*white.shape, 0))
-        sums.add(WhitenedRows(none, white, np.ones_like(white), white, none, none))
-    return sums.result()
-
-
-def test_chances_of_repetition_are_no_smaller_than_they_say() -> None:
-    """Else every fourth good recording is called wrong; nor are they useless."""
-    for noise in (SIX, SIX_COLOURED):
-        found = [repetition(noise, made(noise, 200, seed)) for seed in range(150)]
-        chances = np.array([each.chance for each in found if each is not None])
-        for level in (0.05, 0.5, 0.95):
-            share = np.mean(chances < level)
-            assert share < level + 4 * np.sqrt(level * (1 - level) / len(chances))
-        assert np.mean(chances < 0.5) > 0.2
-        assert repetition(noise, made(noise, 104, 1)) is None  # too few rows
-    alone = Autoregression(np.zeros((1, 0)), np.ones(1))
-    for seed in range(9):  # of one channel: by the normal law, for two looks
-        one = repetition(alone, made(alone, 200, seed))
-        assert one is not None
-        assert one.chance == pytest.approx(min(1.0, 2 * stats.norm.sf(10 * one.share[0])))
-
-
-@pytest.mark.parametrize(("noise", "periods"), [(SIX, 2), (SIX_COLOURED, 5)])
-def test_what_repeats_is_found_with_its_share(noise: Autoregression, periods: int) -> None:
-    """In one channel twice as large as its noise, four fifths repeat; however rows are cut."""
-    alone = Autoregression(noise.coefficients, np.where(np.arange(6) == 2, noise.sigma, 0.0))
-    left = made(noise, 100 * periods, 3) + 2 * np.tile(made(alone, 100, 5), periods)
-    whole = repetition(noise, left)
-    assert whole is not None
-    assert (whole.period, whole.chance < 1e-4) == (10.0, True)
-    shares = np.array(whole.share)
-    assert abs(shares[2] - 0.8) < 0.1
-    assert (np.abs(np.delete(shares, 2)) < 0.4).all()
-    for cut in (1, 7, 150):
-        again = repetition(noise, left, cut)
-        assert again is not None
-        np.testing.assert_allclose(again.share, shares, rtol=1e-11)
 
 
 @given(rngs, st.integers(200, 2000), st.integers(1, 8))

@@ -35,9 +35,9 @@ SECTIONS = {
     "gantry": "warnings errors parameters prediction spectra friction map settings",
     "plate": "warnings errors parameters prediction spectra friction drives "
     "instrument map settings",
-    "bodies": "warnings errors parameters claims prediction spectra friction bodies instrument "
+    "bodies": "warnings errors parameters claims prediction spectra friction bodies "
     "map settings",
-    "hostile": "warnings errors parameters prediction spectra friction instrument map settings",
+    "hostile": "warnings errors parameters prediction spectra friction map settings",
     "half": "warnings errors parameters prediction spectra map settings",
     "silent": "warnings prediction map settings",
     "motion": "sigma motion limits",

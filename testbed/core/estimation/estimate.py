@@ -19,6 +19,7 @@ from testbed.core.estimation.model_errors.estimates import (
     ModelErrorCorrection,
     ModelErrorEffect,
     ModelErrorEstimate,
+    RepeatableError,
 )
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import NormalEquations
@@ -201,6 +202,7 @@ class Estimate(Diagnosed, EstimateSummary):
         choice: How held-out data chose the joints' terms, where they did.
         measured_equations: Of rows as measured, where model errors are taken out of the others.
         model_errors: Errors of the model that the residuals show, the clearest first.
+        repeatable: Part of the residuals that repeats with the motion; None where nothing is known.
         model_error_effect: What they add to the covariance, which counts it; None for nothing.
     """
 
@@ -219,6 +221,7 @@ class Estimate(Diagnosed, EstimateSummary):
     choice: TermChoice | None = None
     measured_equations: NormalEquations | None = None
     model_errors: tuple[ModelErrorEstimate, ...] = ()
+    repeatable: RepeatableError | None = None
     model_error_effect: ModelErrorEffect | None = None
 
     def __post_init__(self) -> None:

@@ -22,7 +22,10 @@ from testbed.core.base.errors import RecordingError, SettingsError, UnseenParame
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.base.stages import Progress, stage
 from testbed.core.estimation.diagnostics.diagnosis import diagnostics, quality
-from testbed.core.estimation.diagnostics.model_errors import model_error_diagnostics
+from testbed.core.estimation.diagnostics.model_errors import (
+    model_error_diagnostics,
+    repetition,
+)
 from testbed.core.estimation.diagnostics.residuals import noisy, zero_unknown
 from testbed.core.estimation.diagnostics.setup import (
     regrouped_rotors,
@@ -34,6 +37,7 @@ from testbed.core.estimation.model_errors.model_errors import (
     WithoutModelErrors,
     find_model_errors,
 )
+from testbed.core.estimation.model_errors.repetition import repeatable_error
 from testbed.core.estimation.noise.coloured_noise import (
     GlsFit,
     bootstrap,
@@ -141,6 +145,7 @@ def estimate_of(
             raise
         problem, estimate = fewer, _estimate_of(fewer, doubt)
     problem, estimate = _beside_model_errors(problem, estimate, doubt, prior)
+    estimate = _with_repetition(problem, estimate)
     diagnostics = of_instrument(
         [*estimate.diagnostics, *chosen], sensor_of(problem.tree)
     )
@@ -197,6 +202,20 @@ def _beside_model_errors(
     more = [d for d in faults if d.code not in known]
     every = [*model_error_diagnostics(estimate), *more, *estimate.diagnostics]
     return problem, replace(estimate, diagnostics=ordered(every))
+
+
+def _with_repetition(problem: Problem, estimate: Estimate) -> Estimate:
+    """Estimate with what of its residuals repeats with the motion."""
+    settings = problem.settings
+    if not settings.model_errors or settings.row_low_pass is None:
+        return estimate
+    if not noisy(estimate) or not problem.clock.sound:
+        return estimate
+    with one_blas_thread():
+        found = repeatable_error(problem, estimate.values)
+    estimate = replace(estimate, repeatable=found)
+    every = [*estimate.diagnostics, *repetition(estimate)]
+    return replace(estimate, diagnostics=ordered(every))
 
 
 def _is_gross(estimate: Estimate) -> bool:

@@ -31,6 +31,9 @@ from testbed.motion.samples import SampledRows
 QUIET_TORQUE = 0.5
 """Noise assumed of joint torques that have none [N m or N]."""
 
+PERIODS = 2
+"""Periods of a motion, at least: what repeats of the residuals is an error of the model."""
+
 FEWEST = 3
 """Harmonics of a motion worth searching."""
 
@@ -147,7 +150,7 @@ def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
         ExperimentError: There are none.
     """
     table, duration = experiment.excitation, experiment.motion.duration
-    lowest = max(table.lowest_frequency, 1 / duration)
+    lowest = max(table.lowest_frequency, PERIODS / duration)
     found = []
     # faster ones are more informative, slower ones are richer
     for multiple in (
@@ -163,7 +166,7 @@ def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
             found.append((fundamental, harmonics))
     if not found:
         raise ExperimentError(
-            f"no motion of {FEWEST} harmonics repeats at {lowest:g} Hz or more, at least once in "
+            f"no motion of {FEWEST} harmonics repeats at {lowest:g} Hz or more, {PERIODS} times in "
             f"motion.duration = {duration:g} s, and stays below excitation.highest_frequency = "
             f"{table.highest_frequency:g} Hz; raise that, or the duration"
         )

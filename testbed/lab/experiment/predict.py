@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from testbed.applications.validate import friction, predictions
+from testbed.applications.validate import LEVEL, friction, predictions, variances
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.frames import frame_of
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.estimate import Estimate, Method, channel_units
+from testbed.core.estimation.estimate import (
+    SIGNAL_OF,
+    Estimate,
+    Method,
+    channel_units,
+)
 from testbed.core.estimation.information import Information
+from testbed.core.estimation.model_errors.model_errors import WithoutModelErrors
+from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
+from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import longest_segment
 from testbed.lab.experiment.run import Run, shown_motion
@@ -78,8 +86,10 @@ class Predictions(Summarized):
         recording: Of the run, or another of the same robot; joints in the tree's order.
         motion: What the recording shows, without the ends that filters take, M samples.
         channels: What was measured: the wrench, the joint torques, or both. The wrench contains
-            the pedestal's; joint torques of the external estimate lack friction.
+            the pedestal's; joint torques of the external estimate lack friction. Faults and model
+            errors that the estimates found are taken out.
         unseen: Whether the recording is another one.
+        doubt: By method, mean squares of what model errors may be beside what was taken out, (C,).
     """
 
     run: Run
@@ -87,6 +97,7 @@ class Predictions(Summarized):
     motion: Motion
     channels: tuple[Channel, ...]
     unseen: bool = False
+    doubt: Mapping[Method, Array] = field(default_factory=dict)
 
     @property
     def summary(self) -> SummaryTable:
@@ -110,6 +121,21 @@ class Predictions(Summarized):
             name = f"{each.kind}/{each.name}"
             columns |= {f"{name}/{by}": values for by, values in each.curves.items()}
         return frame_of(columns)
+
+    @cached_property
+    def band(self) -> dict[Method, Array]:
+        """Half widths of 95 % about predictions of each method's own signal, (M, C) [N, N m].
+
+        They count the covariance of the parameters, doubt about model errors, and noise below the
+        cutoff of the estimate's rows: `smoothed` signals should be within.
+        """
+        found = {}
+        for method, estimate in self.run.estimates.items():
+            variance = variances(self.run.tree, self.recording, self.motion, estimate)
+            variance += estimate.residual**2
+            variance += self.doubt.get(method, 0.0)
+            found[method] = LEVEL * np.sqrt(variance)
+        return found
 
     @cached_property
     def unexplained_torque(self) -> Array | None:
@@ -159,14 +185,31 @@ class Predictions(Summarized):
         return None if internal is None else friction(speed, internal)
 
 
-def _without_faults(run: Run, recording: Recording) -> Recording:
-    """The longest segment, faults that an estimate has found taken back; else the recording."""
+def _without_faults(
+    run: Run, recording: Recording
+) -> tuple[Recording, dict[Method, Array]]:
+    """The longest segment without faults and model errors that estimates found, and their doubt.
+
+    Where they found none, the recording. The doubt is one of each method, (C,).
+    """
+    doubt: dict[Method, Array] = {}
     external = run.estimates.get("external")
-    if external is None or not external.nuisances:
-        return recording
-    part = recording.part(*longest_segment(recording))
-    source = corrected(part, run.tree, external.sensor_errors)
-    return source.part(0, source.samples)
+    if external is not None and external.nuisances:
+        part = recording.part(*longest_segment(recording))
+        source = corrected(part, run.tree, external.sensor_errors)
+        recording = source.part(0, source.samples)
+    for method, estimate in run.estimates.items():
+        if estimate.correction is None or SIGNAL_OF[method] not in recording.signals:
+            continue
+        part = recording.part(*longest_segment(recording))
+        tree = in_its_gravity(run.tree, part)
+        problem = Problem.of(tree, part, method, estimate.settings)
+        source = problem.source
+        values = estimate.values
+        found = WithoutModelErrors(problem, source, values, estimate.correction)
+        recording = found.part(0, found.samples)
+        doubt[method] = found.doubt
+    return recording, doubt
 
 
 def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
@@ -213,7 +256,7 @@ def predict(
     estimates = [each for each in more if isinstance(each, Estimate | Information)]
     run = data if isinstance(data, Run) else run_of(data, *estimates)
     recording = others[0].ordered(run.tree) if others else run.recording
-    recording = _without_faults(run, recording)
+    recording, doubt = _without_faults(run, recording)
     motion, inner = shown_motion(recording, run.settings)
     wrench, torque = predictions(run.tree, recording, motion, run.estimates)
     channels: list[Channel] = []
@@ -223,4 +266,4 @@ def predict(
     if recording.torque is not None:
         units, measured = channel_units(run.tree, "internal"), recording.torque[inner]
         channels += _channels("torque", run.tree.names, units, measured, torque)
-    return Predictions(run, recording, motion, tuple(channels), bool(others))
+    return Predictions(run, recording, motion, tuple(channels), bool(others), doubt)

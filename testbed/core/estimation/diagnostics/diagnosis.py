@@ -18,7 +18,6 @@ from testbed.core.base.stages import stage
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.diagnostics.residuals import (
     noise_diagnostics,
-    repetition,
 )
 from testbed.core.estimation.diagnostics.rigid_bodies import SIGMAS, rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
@@ -113,7 +112,7 @@ def diagnostics(
     else:
         faults += _efforts(tree, survey.measured)
         negative += _friction(estimate)
-    faults += [*negative, *repetition(estimate), *_residuals(estimate, tree)]
+    faults += [*negative, *_residuals(estimate, tree)]
     if not negative:
         faults += _impossible(estimate)
     return tuple(faults)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.estimation.diagnostics.residuals import chance_text
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.model_errors.estimates import ModelErrorEstimate
 
@@ -39,6 +40,38 @@ def model_error_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
             numbers=numbers(error),
             advice=error.remedy,
         )
+
+
+FALSE_ALARMS = 1e-6
+"""Probability of a repetition by chance below which it is said."""
+
+
+def repetition(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Residuals that repeat with the motion.
+
+    Args:
+        estimate: With what of them is repeatable.
+    """
+    found, noise = estimate.repeatable, estimate.noise
+    if found is None or found.chance > FALSE_ALARMS:
+        return
+    # what noise of the encoders does to parameters repeats, too
+    if noise is None or noise.noise_limited:
+        return
+    most = int(np.argmax(found.share))
+    yield diagnose(
+        "estimate.repetition",
+        RESIDUALS[estimate.method],
+        float(found.share[most]),
+        method=estimate.method,
+        level="warning" if estimate.model_errors else None,
+        causes=["encoder-steps"] * noise.steps_matter,
+        again=found.again,
+        chance=chance_text(found.chance),
+        channel=estimate.label(most),
+        rms=found.rms[most],
+        unit=estimate.channel_units[most],
+    )
 
 
 def treatment(error: ModelErrorEstimate) -> str:

@@ -1,4 +1,4 @@
-"""What residuals show: repetition, offsets, and noise of the encoders."""
+"""What residuals show: offsets, and noise of the encoders."""
 
 from __future__ import annotations
 
@@ -10,10 +10,6 @@ from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import few
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.noise_model import NoiseModel
-
-FALSE_ALARMS = 1e-6
-"""Nominal probability of a diagnostic of a recording without any fault. It is small since noise
-need not be what the model of it says: of poor encoders it grows with the robot's inertia."""
 
 SMALL_CHANCE = 1e-3
 """Probability below which what is found is not taken for chance."""
@@ -109,29 +105,3 @@ def _slow(noise: NoiseModel) -> list[bool]:
     """Of each channel, whether it wanders so slowly that its constant rests on nothing."""
     # part of a recording over which the noise of a channel is correlated, and is a drift
     return [memory > 0.5 * noise.span for memory in noise.memory]
-
-
-def repetition(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Residuals that repeat with the motion.
-
-    Args:
-        estimate: With what its noise is like.
-    """
-    noise = estimate.noise
-    repetition = None if noise is None else noise.repetition
-    if noise is None or repetition is None or repetition.chance > FALSE_ALARMS:
-        return
-    if not noisy(estimate):
-        return
-    share, channel = max(zip(repetition.share, estimate.channels, strict=True))
-    first = ["encoder-steps"] * noise.steps_matter
-    yield diagnose(
-        "estimate.repetition",
-        "the plate's residuals",
-        share,
-        method="external",
-        causes=[*first, "elastic", "hoses", "encoder-errors", "unmodelled-load"],
-        period=repetition.period,
-        chance=chance_text(repetition.chance),
-        channel=channel,
-    )

@@ -52,19 +52,24 @@ class ErrorRows:
         columns: Of the unknowns, (C, R, p).
         measured: (C, R) [N, N m].
         linearizer: Of the recording.
-        linearizations: Window by window.
+        states: Motion window by window.
         places: First row of each window and how many.
         rests: What a window's rows share of each channel's rests, (C, rows, rows) each.
-        noise: Density of the encoders' white noise, (n,) [rad^2 s or m^2 s].
     """
 
     columns: Array
     measured: Array
     linearizer: Linearizer
-    linearizations: tuple[Linearization, ...]
+    states: tuple[States, ...]
     places: tuple[tuple[int, int], ...]
     rests: tuple[Array, ...]
-    noise: Array
+
+    @cached_property
+    def linearizations(self) -> tuple[Linearization, ...]:
+        """Predicted forces window by window."""
+        return with_sizes(
+            [self.linearizer.linearization(each, None) for each in self.states]
+        )
 
     def encoder_share(self, residual: Array) -> float:
         """Greatest part of a channel's residual, in squares, that is the encoders' noise.
@@ -73,8 +78,9 @@ class ErrorRows:
             residual: Mean squares, (C,).
         """
         cutoff = self.linearizer.problem.settings.row_low_pass or 0.0
-        acceleration = self.noise * 2 * (2 * np.pi) ** 4 * cutoff**5 / 5
-        n = len(self.noise)
+        noise = np.mean([each.noise for each in self.states], axis=0)
+        acceleration = noise * 2 * (2 * np.pi) ** 4 * cutoff**5 / 5
+        n = len(noise)
         slopes = [at.slopes.acceleration[:, :, :n] for at in self.linearizations]
         square = np.mean([(each**2).mean(axis=0) for each in slopes], axis=0)
         return float(np.max(square @ acceleration / np.maximum(residual, TINY)))
@@ -171,7 +177,11 @@ class ErrorRows:
 
 
 def error_rows(
-    problem: Problem, source: Source, values: Array, prior: Array
+    problem: Problem,
+    source: Source,
+    values: Array,
+    prior: Array,
+    pieces: int = PIECES,
 ) -> ErrorRows:
     """Rows of a problem, and predicted forces around them.
 
@@ -181,9 +191,12 @@ def error_rows(
         values: Of the unknowns, by an estimate, (p,).
         prior: Rows of what is known of them before, (r, p + 1); if any, forces are predicted by
             rows and prior together.
+        pieces: Of a longer recording.
     """
     passes = problem.passes(1, source, whole=True, per_cutoff=PER_CUTOFF)
-    plan = passes.plan = replace(_in_pieces(passes.plan), deadband=0.0, rest_reach=0)
+    plan = passes.plan = replace(
+        _in_pieces(passes.plan, pieces), deadband=0.0, rest_reach=0
+    )
     linearizer = linearizer_of(problem, plan, values)
     found: dict[int, tuple[States, Array]] = {}
 
@@ -205,12 +218,9 @@ def error_rows(
         _apart(every, places),
         _apart(measured, places),
         linearizer,
-        with_sizes(
-            [linearizer.linearization(found[row][0], None) for row in sorted(found)]
-        ),
+        tuple(found[row][0] for row in sorted(found)),
         places,
         tuple(found[row][1] for row in sorted(found)),
-        np.mean([states.noise for states, _ in found.values()], axis=0),
     )
 
 
@@ -242,14 +252,14 @@ def linearizer_of(problem: Problem, plan: Plan, values: Array) -> Linearizer:
     return Linearizer(problem, values, plan, row_filter(plan, cutoff))
 
 
-def _in_pieces(plan: Plan) -> Plan:
+def _in_pieces(plan: Plan, number: int) -> Plan:
     """Plan of MOST rows at most, of a longer recording in pieces that are far apart."""
     total = sum(count for _, count in plan.spans)
     if total <= MOST:
         return plan
     rows = np.concatenate([first + np.arange(count) for first, count in plan.spans])
-    size = MOST // PIECES
-    starts = np.linspace(0, total - size, PIECES).astype(int)
+    size = MOST // number
+    starts = np.linspace(0, total - size, number).astype(int)
     pieces = []
     for start in starts.tolist():
         own = rows[start : start + size]

@@ -119,6 +119,32 @@ class ModelErrorCorrection:
 
 
 @dataclass(frozen=True, eq=False)
+class RepeatableError:
+    """Part of the residuals that repeats with the motion.
+
+    Attributes:
+        period: Of the motion, or of what recordings of it have in common [s].
+        recordings: Number of recordings compared; 1 for periods of one.
+        chance: Probability of as much in noise.
+        rms: In each channel, (C,) [N, N m].
+        share: In squares of the channel's residual, (C,).
+    """
+
+    period: float
+    recordings: int
+    chance: float
+    rms: Array
+    share: Array
+
+    @property
+    def again(self) -> str:
+        """When the motion comes again, in words."""
+        if self.recordings > 1:
+            return f"in {self.recordings} recordings of it"
+        return f"every {self.period:.4g} s"
+
+
+@dataclass(frozen=True, eq=False)
 class ModelErrorEffect:
     """Effect of model errors of uncertain coefficients on the unknowns.
 

@@ -31,14 +31,10 @@ from testbed.core.estimation.noise.fits import (
 )
 from testbed.core.estimation.noise.lagged_products import (
     HIGHEST,
-    Autoregression,
     LaggedProducts,
 )
 from testbed.core.estimation.noise.noise_model import (
     NoiseModel,
-    PeriodicResidual,
-    PeriodicSums,
-    period_of,
 )
 from testbed.core.estimation.noise.replicas import Bootstrap, QuantizationSums
 from testbed.core.estimation.noise.whitening import (
@@ -336,9 +332,8 @@ def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
     known = robot[robot.any(axis=1)]
     replicas = Bootstrap(average.fit.noise, average.directions, known)
     quantization = QuantizationSums(average.fit, solution.count)
-    repetition = _repetition_sums(solution.passes, average.fit.noise)
     for rows in solution.rows():
-        for sums in (residuals, replicas, quantization, repetition):
+        for sums in (residuals, replicas, quantization):
             sums.add(rows)
     factor, (by_counts, share) = replicas.result(average.fits), quantization.result()
     covariance = _covariance(solution, factor, by_counts)
@@ -346,7 +341,7 @@ def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
         values=solution.values,
         covariance=covariance[:p, :p],
         squares=residuals.result(),
-        noise=_noise_model(solution, names, factor, share, repetition.result()),
+        noise=_noise_model(solution, names, factor, share),
         sensor_values=solution.sensor_values,
         sensor_covariance=covariance[p:, p:],
     )
@@ -357,7 +352,6 @@ def _noise_model(
     names: tuple[str, ...],
     factor: float,
     share: float,
-    repetition: PeriodicResidual | None,
 ) -> NoiseModel:
     """Noise of the residuals, and the parameters that it hides or limits."""
     average, plan, robot = solution.average, solution.passes.plan, solution.units.basis
@@ -376,7 +370,6 @@ def _noise_model(
         noise_limited=_named(limited, names),
         least_counts=solution.encoders.least_counts,
         by_counts=share,
-        repetition=repetition,
     )
 
 
@@ -446,14 +439,3 @@ def _large(part: Array) -> NDArray[np.bool_]:
     # an unknown with a larger part than this in a combination is named
     large = size > 0.1 * size.max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(large.any(axis=0))
-
-
-def _repetition_sums(passes: Passes, noise: Autoregression) -> PeriodicSums:
-    """Of no rows where the motion has no period, or rows have gaps or are too far apart for it."""
-    plan, surveyor = passes.plan, passes.surveyor
-    rows = 0
-    if plan.layout.model == "reaction" and len(plan.spans) == 1:
-        samples = (period_of(surveyor.survey().position) or 0) * surveyor.stride
-        rows = round(samples / plan.step)
-    period = rows * plan.step / plan.source.rate  # what is compared is so long apart
-    return PeriodicSums(noise, rows if rows > HIGHEST else 0, period)

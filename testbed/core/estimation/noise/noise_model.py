@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.noise.lagged_products import (
-    Autoregression,
-    prediction_errors,
-)
-from testbed.core.estimation.noise.whitening import WhitenedRows
 
 ALIKE = 1e-3
 """Mean square of the difference to one period before, relative to that of far instants."""
@@ -49,6 +46,34 @@ def period_of(position: Array) -> int | None:
     return first + int(np.argmin(apart[first:last]))
 
 
+def lag_of(position: Array, other: Array) -> float | None:
+    """Samples by which another recording of a motion is behind; None if it is another motion.
+
+    Args:
+        position: Encoders at evenly spaced times, (m, n) [rad or m].
+        other: The same of the other recording, (k, n).
+    """
+    centre, spread = position.mean(axis=0), position.std(axis=0)
+    moving = spread > 1e-2 * spread.max(initial=0.0)
+    if not moving.any():
+        return None
+    unit = (position - centre)[:, moving] / spread[moving]
+    later = (other - centre)[:, moving] / spread[moving]
+    curve = CubicSpline(np.arange(len(later)), later)
+
+    def apart(lag: float) -> float:
+        begin = max(0, math.ceil(-lag))
+        end = min(len(unit), math.ceil(len(later) - lag))
+        behind = curve(np.arange(begin, end) + lag)
+        return float(np.square(unit[begin:end] - behind).mean()) / 2
+
+    lags = np.arange(-len(unit) // 2, len(later) // 2 + 1)
+    distances = [apart(float(lag)) for lag in lags]
+    near = float(lags[np.argmin(distances)])
+    found = minimize_scalar(apart, bounds=(near - 1, near + 1), method="bounded")
+    return float(found.x) if found.fun < ALIKE else None
+
+
 def _differences(unit: Array) -> Array:
     """Mean square of x_t - x_(t - lag) over 2, for lags up to two thirds of the samples."""
     count, channels = unit.shape
@@ -61,78 +86,6 @@ def _differences(unit: Array) -> Array:
     return np.asarray(
         (later + earlier - 2 * products) / (2 * channels * (count - lags))
     )
-
-
-@dataclass(frozen=True)
-class PeriodicResidual:
-    """Residuals held against those of one period before.
-
-    Attributes:
-        period: Of the motion [s].
-        share: Part of each channel's whitened residuals, squared, that repeats, (C,); below
-            zero by chance.
-        chance: Probability, at most, of as much in one channel or in all together in mere noise.
-    """
-
-    period: float
-    share: tuple[float, ...]
-    chance: float
-
-
-class PeriodicSums:
-    """Products of whitened residuals with those of one period before, row after row."""
-
-    def __init__(self, noise: Autoregression, rows: int, period: float) -> None:
-        """Nothing yet; of memory for one period.
-
-        Args:
-            noise: Of the residuals.
-            rows: Of one period; 0 for none.
-            period: Of the motion [s].
-        """
-        channels = len(noise.sigma)
-        self._noise, self._rows, self._period = noise, rows, period
-        # residuals that the next ones are whitened with
-        self._recent = np.zeros((channels, 0))
-        self._before = np.zeros((channels, 0))  # whitened ones of one period
-        self._sums = np.zeros((3, channels))
-        self._pairs = 0
-
-    def add(self, rows: WhitenedRows) -> None:
-        """Go on with consecutive rows."""
-        order = self._noise.order
-        run = np.concatenate([self._recent, rows.white], axis=1)
-        self._recent = run[:, max(0, run.shape[1] - order) :]
-        alpha, count = prediction_errors(self._noise.coefficients), run.shape[1] - order
-        if count <= 0 or not self._rows:
-            return
-        parts = (run[:, order - i : order - i + count] for i in range(order + 1))
-        fresh = sum(alpha[:, i, None] * part for i, part in enumerate(parts))
-        white = np.concatenate([self._before, fresh], axis=1)
-        self._before = white[:, -self._rows :]
-        now, then = white[:, self._rows :], white[:, : -self._rows]
-        self._sums += [
-            (now * then).sum(axis=1),
-            (now**2).sum(axis=1),
-            (then**2).sum(axis=1),
-        ]
-        self._pairs += now.shape[1]
-
-    def result(self) -> PeriodicResidual | None:
-        """What the sums say; None where the rows are too few."""
-        products, *powers = self._sums
-        size = np.sqrt(powers[0] * powers[1])
-        some = size > 0
-        # pairs of rows that the test needs: the sum of their products is then about normal
-        if self._pairs < 30 or not some.any():
-            return None
-        share = products / np.where(some, size, 1.0)
-        score = share[some] * np.sqrt(self._pairs)
-        together = special.ndtr(-score.sum() / np.sqrt(len(score)))
-        alone = len(score) * special.ndtr(-score.max())
-        # two looks, and so many channels
-        chance = min(1.0, 2 * float(min(together, alone)))
-        return PeriodicResidual(self._period, tuple(float(x) for x in share), chance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +107,6 @@ class NoiseModel:
         least_counts: Of encoders that show whole counts and no noise between, zero for others,
             (n,) [rad or m]; empty if there are none.
         by_counts: Part of the whitened residuals that such counts account for.
-        repetition: Whether the residuals repeat with the motion; None where that is unknown.
     """
 
     order: int
@@ -169,7 +121,6 @@ class NoiseModel:
     noise_limited: tuple[str, ...] = ()
     least_counts: tuple[float, ...] = ()
     by_counts: float = 0.0
-    repetition: PeriodicResidual | None = None
 
     @property
     def steps_matter(self) -> bool:
