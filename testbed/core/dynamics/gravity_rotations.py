@@ -59,8 +59,8 @@ def _null_axes(columns: Array, none: float) -> Array:
     _, sizes, axes = svd(columns)
     hidden = axes[sizes <= none]
     projector = hidden.T @ hidden
-    _, pivots = qr(projector, mode="r", pivoting=True)
-    rows: Array = projector[pivots[: len(hidden)]]
+    _, pivots = qr(np.round(projector, 9), mode="r", pivoting=True)
+    rows: Array = projector[np.sort(pivots[: len(hidden)])]
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
