@@ -73,6 +73,8 @@ def repeatable_error(problem: Problem, values: Array) -> RepeatableError | None:
         for other in others[:RECORDINGS]
         if other.samples > SHORT * longest.samples
     ]
+    if not found:  # else a spline of every row is made for nothing
+        return None
     rows = _recordings(first, found)
     return _lack_of_fit(rows, rows.shape[2] / rate, rows.shape[1])
 
