@@ -43,13 +43,13 @@ def testbed(*words: str) -> None:
 def viewer(run: Path, folder: Path) -> None:
     """What the viewer shows first of a run."""
     from testbed.lab.experiment.results import read_run
-    from testbed.view.viewer.log import write_rrd
-    from testbed.view.viewer.scene import scene_of
+    from testbed.view.viewer.log import write_runs_rrd
+    from testbed.view.viewer.scene import build_scene
     from tests.helpers.viewer import headless_viewer
 
-    scene = scene_of(read_run(run))
+    scene = build_scene(read_run(run))
     path = folder / "viewer_wrench.rrd"
-    write_rrd([scene], path)
+    write_runs_rrd([scene], path)
     with headless_viewer(folder, SIZE) as (seen, _):
         seen.open(str(path))
         for _ in range(ZOOM):
@@ -81,7 +81,7 @@ def report(run: Path, folder: Path) -> None:
 def campaign(folder: Path) -> None:
     """Errors of both methods over plate noise and friction, if the folder is new, from new runs."""
     from docs.pictures.drawing import CELL, LEFT, save, table, words
-    from testbed.campaigns.results import RESULTS, read_results
+    from testbed.campaigns.results import RESULTS_FILE, read_campaign_results
     from testbed.campaigns.summary import summarise
     from testbed.core.base.errors import round_significant
     from testbed.view.section import DARKEST
@@ -90,12 +90,12 @@ def campaign(folder: Path) -> None:
         file = "experiments/campaigns/noise_friction.toml"
         testbed("campaign", file, "--out", str(folder))
     wide, top, parts = 62, 24.0, []
-    cells = summarise(read_results(folder / RESULTS).rows)
+    cells = summarise(read_campaign_results(folder / RESULTS_FILE).rows)
     errors = {(each.estimator, *map(float, each.levels.values())): each.error for each in cells}
     columns = sorted({noise for _, _, noise in errors})
     lightest = math.log(min(errors.values()))
     span = math.log(max(errors.values())) - lightest
-    for method, caption in (("external", "Wrench"), ("internal", "Joint torques")):
+    for method, caption in (("wrench", "Wrench"), ("torque", "Joint torques")):
         rows: dict[str, list[str]] = {}
         for k, friction in enumerate(sorted({friction for _, friction, _ in errors})):
             values = [errors[method, friction, noise] for noise in columns]

@@ -1,4 +1,4 @@
-"""A result as people see it, once: sections with tables, for terminal, page and Rerun's viewer."""
+"""Sections with tables and panels: contents of results for terminal, HTML page and Rerun viewer."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from testbed.view.figures import Panel
 
 @dataclass(frozen=True)
 class Table:
-    """Words in rows and columns.
+    """Table of texts with column heads and a title.
 
     Attributes:
-        heads: Of the columns; the first names the rows.
-        rows: A cell a column.
-        title: Above it.
-        left: Heads of columns of words, which begin at the left as the first does.
-        parts: Columns, the first apart, that stand together where not all have room.
+        heads: Heads of the columns; the first column contains the names of the rows.
+        rows: Rows, one cell per column.
+        title: Title above the table.
+        left: Heads of left-aligned columns of words; the first column is always left-aligned.
+        parts: Groups of columns, without the first, that become separate tables in little width.
     """
 
     heads: Sequence[str]
@@ -33,24 +33,31 @@ class Table:
         left: Sequence[str] = (),
         parts: Sequence[Sequence[int]] = (),
     ) -> Table:
-        """Table of columns of equal length, by their heads."""
+        """Build a table from columns of equal length.
+
+        Args:
+            columns: Cells of the columns by head.
+            title: Title above the table.
+            left: Heads of left-aligned columns of words.
+            parts: Groups of columns that become separate tables in little width.
+        """
         rows = list(zip(*columns.values(), strict=True))
         return Table([*columns], rows, title, left, parts)
 
     @property
     def split(self) -> list[Table]:
-        """A table for each part."""
-        found = []
+        """Tables of the groups of columns, each with the first column."""
+        tables = []
         for part in self.parts or [range(1, len(self.heads))]:
             heads, *rows = (
                 [line[0], *(line[k] for k in part)] for line in (self.heads, *self.rows)
             )
-            found.append(Table(heads, rows, self.title, self.left))
-        return found
+            tables.append(Table(heads, rows, self.title, self.left))
+        return tables
 
     @property
     def markdown(self) -> str:
-        """As Rerun's viewer shows it."""
+        """Markdown text of the table, for the Rerun viewer."""
         lines = [self.heads, ["---"] * len(self.heads), *self.rows]
         cells = (
             [cell.replace("|", "/").replace("+-", "±") for cell in line]
@@ -61,17 +68,17 @@ class Table:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Section:
-    """A part of a result: what it says, drawn and as a table.
+    """Part of a result: explanation, panels and table.
 
     Attributes:
-        id: Its place on a page.
-        title: Above it.
-        says: What there is to see, in a few sentences.
-        legend: What curves are, by their kind.
-        panels: Drawings.
-        shown: How many of these are not folded away; None for all.
-        caption: Below them.
-        table: The same in numbers.
+        id: Anchor on a page.
+        title: Title of the section.
+        says: Explanation of the panels in a few sentences.
+        legend: Labels of the curves, by kind.
+        panels: Plots.
+        shown: Number of panels that are not folded away; None for all.
+        caption: Caption below the panels.
+        table: Numbers of the panels.
     """
 
     id: str

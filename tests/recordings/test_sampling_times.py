@@ -29,7 +29,7 @@ def test_nothing_is_found_in_even_recordings(name: str, count: float) -> None:
         position = recording.position
         if count:
             position = count * np.round(position / count)
-        assert errors_of_times(recording.time, position).sound
+        assert errors_of_times(recording.time, position).is_free_of_errors
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -1,8 +1,8 @@
-"""Frozen dataclasses as JSON and back, by pydantic: fields are what their types say.
+"""JSON of frozen dataclasses by pydantic, following the types of the fields.
 
-An array is nested lists. What is made from a model, as a minimal set, is a name in JSON, and who
-reads it says what makes it again. Nothing in such a file is code, or becomes the name of a file.
-pydantic is loaded when something is written or read.
+An array is nested lists. A value derived from a model, such as a minimal set, is written as a name,
+from which a function passed by the reader makes it again. No content is executed or used as a file
+name. pydantic is imported on first use.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationInfo
     from pydantic_core import CoreSchema
 
-Makers = Mapping[type, Callable[[Any], Any]]
-"""What makes values of their names, by class."""
+ValueFactories = Mapping[type, Callable[[Any], Any]]
+"""Functions that make a value from its name in JSON, by class."""
 
 
 class ArraySchema:
-    """Of an array of floats, beside its type: nested lists in JSON; null is not a number."""
+    """Pydantic schema of a float array: nested lists in JSON, null for NaN."""
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -32,7 +32,7 @@ class ArraySchema:
         from pydantic_core import core_schema as schemas
 
         return schemas.no_info_plain_validator_function(
-            _array,
+            _parse_array,
             json_schema_input_schema=schemas.list_schema(),
             serialization=schemas.plain_serializer_function_ser_schema(
                 lambda array: array.tolist(), return_schema=schemas.list_schema()
@@ -40,10 +40,11 @@ class ArraySchema:
         )
 
 
-def _array(value: Any) -> Any:
+def _parse_array(value: Any) -> Any:
+    """Float64 array of nested lists."""
     try:
         return np.array(value, dtype=np.float64)
-    # pydantic takes a ValueError for the input's fault
+    # pydantic reports a ValueError as an invalid input
     except (
         TypeError,
         OverflowError,
@@ -52,7 +53,7 @@ def _array(value: Any) -> Any:
 
 
 class TableSchema:
-    """Of a dataclass that checks its own fields, beside its type: a table in JSON."""
+    """Pydantic schema of a dataclass that checks its fields: a table in JSON."""
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -63,22 +64,22 @@ class TableSchema:
             lambda value: value if isinstance(value, source) else source(**value),
             json_schema_input_schema=handler(source),
             serialization=schemas.plain_serializer_function_ser_schema(
-                encode, return_schema=schemas.any_schema()
+                to_json_values, return_schema=schemas.any_schema()
             ),
         )
 
 
-def named(name: Callable[[Any], Any]) -> Any:
-    """`__get_pydantic_core_schema__` of a class whose values are names in JSON.
+def schema_by_name(name: Callable[[Any], Any]) -> Any:
+    """Method `__get_pydantic_core_schema__` of a class whose values are names in JSON.
 
     Args:
-        name: Of a value; a string, or a list of some.
+        name: Function that returns the name of a value: a string, or a list of strings.
     """
 
     def schema(cls: type, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema as schemas
 
-        def made(word: Any, info: ValidationInfo) -> Any:
+        def value_of_name(word: Any, info: ValidationInfo) -> Any:
             if isinstance(word, cls):
                 return word
             if info.context is None:
@@ -86,7 +87,7 @@ def named(name: Callable[[Any], Any]) -> Any:
             return info.context[cls](word)
 
         return schemas.with_info_plain_validator_function(
-            made,
+            value_of_name,
             json_schema_input_schema=schemas.any_schema(),
             serialization=schemas.plain_serializer_function_ser_schema(
                 name, return_schema=schemas.any_schema()
@@ -96,63 +97,68 @@ def named(name: Callable[[Any], Any]) -> Any:
     return classmethod(schema)
 
 
-def with_properties(*names: str) -> Any:
-    """`__get_pydantic_core_schema__` of a dataclass with properties beside its fields in JSON.
+def schema_with_properties(*names: str) -> Any:
+    """Method `__get_pydantic_core_schema__` that writes properties as well as fields to JSON.
 
     Args:
-        names: Of the properties: numbers, arrays, dataclasses or tuples of them.
+        *names: Names of properties: numbers, arrays, dataclasses or tuples of these.
     """
 
     def schema(cls: type, source: Any, handler: GetCoreSchemaHandler) -> Any:
         from pydantic_core import core_schema as schemas
 
-        def with_them(value: Any, fields: Callable[[Any], Any]) -> dict[str, Any]:
+        def fields_and_properties(
+            value: Any, fields: Callable[[Any], Any]
+        ) -> dict[str, Any]:
             return {
                 **fields(value),
-                **{name: _plain(getattr(value, name)) for name in names},
+                **{name: _json_value(getattr(value, name)) for name in names},
             }
 
-        found: Any = handler(source)
-        found["serialization"] = schemas.wrap_serializer_function_ser_schema(with_them)
-        return found
+        core_schema: Any = handler(source)
+        core_schema["serialization"] = schemas.wrap_serializer_function_ser_schema(
+            fields_and_properties
+        )
+        return core_schema
 
     return classmethod(schema)
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
+    """JSON value of a property: a number, an array, a dataclass or a tuple."""
     if isinstance(value, tuple):
-        return [_plain(each) for each in value]
+        return [_json_value(each) for each in value]
     if is_dataclass(value):
-        return encode(value)
+        return to_json_values(value)
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 @lru_cache
-def adapter(kind: Any) -> TypeAdapter[Any]:
-    """What writes, checks and describes values of a type; made once."""
+def type_adapter(kind: Any) -> TypeAdapter[Any]:
+    """Pydantic adapter that writes, checks and describes values of a type; cached."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)
 
 
-def encode(value: Any, kind: Any = None, exclude: Any = None) -> Any:
-    """A value as JSON takes it, but for numbers that are infinite or none.
+def to_json_values(value: Any, kind: Any = None, exclude: Any = None) -> Any:
+    """Convert a value to JSON types; infinite numbers and NaN stay floats.
 
     Args:
-        value: What is written.
-        kind: Its type; default the value's class.
-        exclude: Fields to leave out, as pydantic takes them.
+        value: Value to write.
+        kind: Type of the value; default its class.
+        exclude: Fields to leave out, in pydantic's form.
     """
-    return adapter(kind or value.__class__).dump_python(value, exclude=exclude)
+    return type_adapter(kind or value.__class__).dump_python(value, exclude=exclude)
 
 
 def json_text(content: Any, *, exact: bool = False) -> bytes:
-    """JSON of what `encode` gives, floats to the last digit.
+    """JSON text of plain values, floats with all digits.
 
     Args:
-        content: Plain values.
-        exact: For ourselves, in one line: NaN and Infinity stay what they are. Default for other
-            programs, which know neither: null.
+        content: Plain values, as returned by `encode`.
+        exact: True to keep NaN and Infinity, on one line, for this package only. Default null in
+            their place, for other programs.
     """
     from pydantic_core import to_jsonable_python
 
@@ -163,11 +169,11 @@ def json_text(content: Any, *, exact: bool = False) -> bytes:
     ).encode()
 
 
-def from_json(text: bytes) -> Any:
-    """Plain values of JSON.
+def parse_json(text: bytes) -> Any:
+    """Parse JSON text.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The text is not JSON.
     """
     try:
         return json.loads(text)
@@ -175,15 +181,15 @@ def from_json(text: bytes) -> Any:
         raise ValueError("it is nested too deeply") from None
 
 
-def decode(kind: Any, content: Any, makers: Makers) -> Any:
-    """A value again.
+def from_json_values(kind: Any, content: Any, makers: ValueFactories) -> Any:
+    """Make a value of a type from JSON values.
 
     Args:
-        kind: Its type.
+        kind: Type of the value.
         content: Plain values.
-        makers: What makes values of names.
+        makers: Functions that make values from names, by class.
 
     Raises:
-        ValueError: They are not of this type.
+        ValueError: The content does not fit the type.
     """
-    return adapter(kind).validate_python(content, context=makers)
+    return type_adapter(kind).validate_python(content, context=makers)

@@ -1,7 +1,7 @@
-"""Faults that single channels show by themselves: clipped, dead, stuck, copied and others.
+"""Faults of single channels of a recording: clipped, dead, stuck, copied and others.
 
-Nothing is asked of the robot's dynamics. A torque is judged while its joint moves: at rest it may
-well be constant.
+No model of the robot's dynamics is needed. Torques are tested while their joint moves: at rest a
+torque may be constant.
 """
 
 from __future__ import annotations
@@ -16,83 +16,86 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.recordings.columns import STILL
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.recordings.columns import MIN_MOTION_RANGE
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.repeats import runs
+from testbed.core.recordings.repeats import runs_of_equal_rows
 from testbed.core.recordings.source import Source
 
-SAMPLES, FEWEST = 200_000, 100
-"""Samples that are looked at together, at most and at least."""
+MAX_BLOCK_SAMPLES, MIN_SAMPLES = 200_000, 100
+"""Largest and smallest number of samples that are tested together."""
 
-EQUAL, TOP, CONSTANT = 1e-6, 0.05, 1e-9
-"""Part of a channel's range by which equal values differ at most, after interpolation; part of it
-that is near its greatest value; part of a value by which a constant changes."""
+EQUALITY_TOLERANCE, LIMIT_MARGIN, CONSTANT_TOLERANCE = 1e-6, 0.05, 1e-9
+"""Largest difference of equal values after interpolation, and of values at a limit from the limit,
+as shares of the channel's range; largest relative change of a constant channel."""
 
-SPELL, SLOW, MOVING = 0.025, 0.1, 0.2
-"""Time over which speeds are taken [s]; part of a joint's rms speed below which it rests; part of
-the samples at which it moves, below which nothing is said of it."""
+SPEED_HALF_WINDOW, REST_SPEED, MIN_MOVING_SHARE = 0.025, 0.1, 0.2
+"""Half-width of the window for speeds [s]; largest speed of a joint at rest, as a share of its rms
+speed; smallest share of moving samples for tests of a joint's channels."""
 
-STUCK, JUMP, REGULAR = 20, 5.0, 0.9
-"""Times a channel's usual run of equal values that a stuck one lasts; times the usual changes that
-a jump is; part of the runs that are as long as a slow device makes them."""
+STUCK_FACTOR, JUMP_FACTOR, MIN_REGULAR_SHARE = 20, 5.0, 0.9
+"""Smallest length of a stuck run, in usual lengths of runs of equal values; smallest jump, in usual
+changes; smallest share of runs that are multiples of a slow device's period."""
 
-EXACT, NOISY = (0.01, 6.0), (0.06, 4.0)
-"""Part of the samples at a stop, at least, and times those below, of which a crest has 2.4; of
-values, and of means of noisy ones."""
+EXACT_STOP, NOISY_STOP = (0.01, 6.0), (0.06, 4.0)
+"""Smallest share of samples at a stop, and smallest ratio of samples at the stop to samples just
+below, which is 2.4 at a crest; of values, and of means of noisy values."""
 
-NEAR, KINK = 3.0, 12.5
-"""Sigmas of means within which a noisy plateau lies; times as far below is the torque a quarter of
-the plateau later, where flat crests are not."""
+PLATEAU_SIGMAS, KINK_FACTOR = 3.0, 12.5
+"""Half-width of a noisy plateau, in standard deviations of means; smallest drop of the torque a
+quarter of the plateau's length outside, in half-widths: larger than beside a flat crest."""
 
-COPIED = 0.98
-"""Part of the samples at which a copied channel is the other one."""
+MIN_COPIED_SHARE = 0.98
+"""Smallest share of samples at which a copied channel equals the other channel."""
 
-ROUGH, LEVELS = 0.05, 120
-"""Deviation by rounding, in those of the channel, from which steps matter; most values of such."""
+MIN_ROUNDING_NOISE, MAX_LEVELS = 0.05, 120
+"""Smallest standard deviation of rounding, over the channel's, of coarse steps; largest number of
+their values."""
 
-AWAY = 0.15
-"""Time from rests and reversals after which a jump is no friction, of late torques, too [s]."""
+REVERSAL_MARGIN = 0.15
+"""Smallest time between a reversal and a jump that is not friction, also of delayed torques [s]."""
 
-THINNED, SMOOTHED, WHITE = 4, 0.25, 0.6
-"""Samples of which one is kept; noise in consecutive samples over that in those that are kept, of a
-channel behind a low-pass, at most, and of others, at least."""
+THINNING, MAX_SMOOTHED_RATIO, MIN_WHITE_RATIO = 4, 0.25, 0.6
+"""Step of thinned samples; ratio of the noise in consecutive samples to the noise in thinned
+samples: largest behind a low-pass filter, smallest for the median of the other channels."""
 
-FASTEST = 80.0
-"""Samples a second below which motion is noise in those that are kept [Hz]."""
+MIN_SMOOTHED_RATE = 80.0
+"""Smallest sampling rate for the ratio: at lower rates, motion appears as noise of thinned samples
+[Hz]."""
 
-NOISIER, LOUD = 6.0, 0.1
-"""Times the other channels' noise, as it is and relative to their size; relative noise."""
+NOISE_FACTOR, MIN_RELATIVE_NOISE = 6.0, 0.1
+"""Smallest noise of a noisy channel: as a multiple of the other channels' noise, absolute and
+relative to their size; relative to its own size."""
 
-OUTLYING, SMALL, RARE = 10.0, 0.02, 0.01
-"""Times all but a twentieth of a channel's bends that an outlier is, and part of its range; part of
-the samples, at most."""
+OUTLIER_FACTOR, MIN_OUTLIER_SIZE, MAX_OUTLIER_SHARE = 10.0, 0.02, 0.01
+"""Smallest outlier, as a multiple of the 95th percentile of deviations from the neighbours' mean,
+and as a share of the range; largest share of outliers among the samples."""
 
-TOUCHES, BOUNCE = 3, 3.0
-"""Times that a magnitude is zero; its rise over two spells beside that over one, where a smooth
-minimum has four."""
+MIN_TOUCHES, MAX_RISE_RATIO = 3, 3.0
+"""Smallest number of zeros of a magnitude; largest ratio of its rise over two windows to its rise
+over one window, which is 4 at a smooth minimum."""
 
 Spans = NDArray[np.int64]
-"""Samples from the first to before the second, (k, 2)."""
+"""Ranges of samples: index of the first sample, and index after the last, (k, 2)."""
 
 Flags = NDArray[np.bool_]
 Finding = tuple[str, Flags | bool, Mapping[str, Any]]
-"""Kind, samples, and facts by the fields of its message."""
+"""Kind of a fault, flags of its samples, and facts by field of its message."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelFault:
-    """A fault of one channel.
+    """Fault of a channel of a recording.
 
     Attributes:
-        kind: As of the messages, such as "clipped".
-        signal: Of the channel, position or torque.
-        name: Of the joint.
-        share: Part of the samples.
-        first: Time of the first of these [s].
-        last: Time of the last [s].
-        facts: Numbers and names for a person, by the fields of the message.
-        left_out: Samples that no estimate should use.
+        kind: Kind as in the messages, such as "clipped".
+        signal: Signal of the channel, position or torque.
+        name: Joint name.
+        share: Share of faulty samples.
+        first: Time of the first faulty sample [s].
+        last: Time of the last faulty sample [s].
+        facts: Numbers and names by field of the message.
+        left_out: Samples that estimates must not use.
     """
 
     kind: str
@@ -106,8 +109,8 @@ class ChannelFault:
 
     @property
     def diagnostic(self) -> Diagnostic:
-        """For a person."""
-        return diagnose(
+        """Diagnostic of the fault."""
+        return make_diagnostic(
             f"{self.signal}-column.{self.kind}",
             f"the {self.signal} of '{self.name}'",
             self.share,
@@ -118,375 +121,493 @@ class ChannelFault:
 
 
 @dataclass(frozen=True, eq=False)
-class _Joint:
-    """How a channel's joint moves, (M,) each."""
+class _JointMotion:
+    """Motion of a channel's joint.
+
+    Attributes:
+        rate: Sampling rate [Hz].
+        speed: Velocity of the joint, (M,) [rad/s or m/s].
+        moving: True for samples at which the joint moves, (M,).
+    """
 
     rate: float
     speed: Array
     moving: Flags
 
     @staticmethod
-    def of(position: Array, rate: float) -> _Joint:
-        """By its encoder."""
-        reach = max(1, round(SPELL * rate))
-        ends = np.pad(position, reach, "reflect", reflect_type="odd")
-        speed = (ends[2 * reach :] - ends[: -2 * reach]) * rate / (2 * reach)
-        moves = np.ptp(position) > max(STILL, STUCK * _noise(position))
-        usual = np.sqrt(np.mean(speed**2)) if moves else np.inf
-        return _Joint(rate, speed, np.abs(speed) > SLOW * usual)
+    def from_position(position: Array, rate: float) -> _JointMotion:
+        """Estimate the motion of a joint from encoder positions, (M,), by differences."""
+        half_window = max(1, round(SPEED_HALF_WINDOW * rate))
+        padded = np.pad(position, half_window, "reflect", reflect_type="odd")
+        speed = (
+            (padded[2 * half_window :] - padded[: -2 * half_window])
+            * rate
+            / (2 * half_window)
+        )
+        is_moving = np.ptp(position) > max(
+            MIN_MOTION_RANGE, STUCK_FACTOR * _noise(position)
+        )
+        rms = np.sqrt(np.mean(speed**2)) if is_moving else np.inf
+        return _JointMotion(rate, speed, np.abs(speed) > REST_SPEED * rms)
 
     @property
-    def moves(self) -> bool:
-        """Whether its torque can be judged."""
-        return bool(self.moving.mean() > MOVING)
+    def is_moving(self) -> bool:
+        """True if the joint moves in enough samples for tests of its channels."""
+        return bool(self.moving.mean() > MIN_MOVING_SHARE)
 
-    def makes(self, values: Array, plateau: Flags, near: float) -> bool:
-        """Whether inertia and friction of the joint make a plateau of a torque, within `near`."""
+    def explains_plateau(self, values: Array, plateau: Flags, tolerance: float) -> bool:
+        """Test whether inertia and friction of the joint explain a plateau of torque.
+
+        A least-squares fit of friction and inertia predicts a nearly constant torque there.
+
+        Args:
+            values: Torque, (M,).
+            plateau: True for samples of the plateau, (M,).
+            tolerance: Half the largest standard deviation of the prediction.
+        """
         columns = np.vander(self.speed, 2), np.sign(self.speed), np.gradient(self.speed)
-        motion, part = np.column_stack(columns), self.moving
-        expected = motion @ np.linalg.lstsq(motion[part], values[part])[0]
-        return bool(expected[plateau & part].std() < 2 * near)
+        regressor, moving_samples = np.column_stack(columns), self.moving
+        expected = (
+            regressor
+            @ np.linalg.lstsq(regressor[moving_samples], values[moving_samples])[0]
+        )
+        return bool(expected[plateau & moving_samples].std() < 2 * tolerance)
 
 
 def _noise(values: Array) -> float:
-    """Standard deviation of white noise in consecutive values."""
+    """Standard deviation of white noise in a signal, from fourth differences."""
     return float(np.median(np.abs(np.diff(values, 4))) / (0.6745 * np.sqrt(70)))
 
 
-def _runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First samples of runs of equal values, and their lengths."""
-    return runs(np.round(values[:, None] / (EQUAL * np.ptp(values) or 1.0)))
+def _equal_runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the first samples of runs of equal values, and lengths of the runs."""
+    return runs_of_equal_rows(
+        np.round(values[:, None] / (EQUALITY_TOLERANCE * np.ptp(values) or 1.0))
+    )
 
 
-def _constant(values: Array, joint: _Joint) -> Finding | None:
-    """One value throughout."""
-    constant = np.ptp(values) <= CONSTANT * np.abs(values[0])
+def _find_constant(values: Array, joint: _JointMotion) -> Finding | None:
+    """Find a channel that is constant."""
+    constant = np.ptp(values) <= CONSTANT_TOLERANCE * np.abs(values[0])
     return ("dead", True, {"size": values[0]}) if constant else None
 
 
-def _slow(values: Array, joint: _Joint) -> Finding | None:
-    """A new value at every so many samples only."""
-    starts, lengths = _runs(values)
-    moved = lengths[joint.moving[starts]]
-    period = int(np.median(moved)) if len(moved) > STUCK else 1
-    regular = np.mean(moved == period) > 0.6 and np.mean(moved % period < 2) > REGULAR
-    old = ~np.isin(np.arange(len(values)), starts)
-    return ("slow", old, {"period": period}) if period > 1 and regular else None
+def _find_slow_updates(values: Array, joint: _JointMotion) -> Finding | None:
+    """Find a channel with a new value only at every k-th sample, k > 1."""
+    starts, lengths = _equal_runs(values)
+    moving_lengths = lengths[joint.moving[starts]]
+    period = int(np.median(moving_lengths)) if len(moving_lengths) > STUCK_FACTOR else 1
+    is_regular = (
+        np.mean(moving_lengths == period) > 0.6
+        and np.mean(moving_lengths % period < 2) > MIN_REGULAR_SHARE
+    )
+    is_repeated = ~np.isin(np.arange(len(values)), starts)
+    return (
+        ("slow", is_repeated, {"period": period}) if period > 1 and is_regular else None
+    )
 
 
-def _stuck(values: Array, joint: _Joint) -> Finding | None:
-    """Runs of one value while the joint moves, longer than others or zero between jumps."""
-    starts, lengths = _runs(values)
+def _find_stuck_runs(values: Array, joint: _JointMotion) -> Finding | None:
+    """Find constant runs during motion: longer than usual, or zero between jumps."""
+    starts, lengths = _equal_runs(values)
     level, change = values[starts], np.abs(np.diff(values))
     jump = change[(values[1:] != 0) & (values[:-1] != 0) & (change > 0)]
-    jump = JUMP * np.quantile(jump, 0.9) if len(jump) else np.inf
+    jump = JUMP_FACTOR * np.quantile(jump, 0.9) if len(jump) else np.inf
     jumps = np.concatenate([[True], change > jump, [True]])
-    entered, left = jumps[starts], jumps[starts + lengths]
-    long = lengths > STUCK * np.quantile(lengths, 0.95)
-    room = np.minimum(values.max() - level, level - values.min())
-    # plateaus at a limit, which may begin or end at a jump of friction
-    limit = long & (room < TOP * np.ptp(values)) & (level != 0)
-    limit &= ~(entered & left) | (limit.sum() > 1)
-    lost = long & ~limit | (level == 0) & entered & left
-    clear = lost & (np.add.reduceat(joint.moving, starts) > lengths / 2)
-    if lengths[clear].sum() < 3:
+    starts_at_jump, ends_at_jump = jumps[starts], jumps[starts + lengths]
+    is_long = lengths > STUCK_FACTOR * np.quantile(lengths, 0.95)
+    distance_to_limit = np.minimum(values.max() - level, level - values.min())
+    # plateaus at a limit, which may begin or end at a jump of friction, are no stuck runs
+    at_limit = (
+        is_long & (distance_to_limit < LIMIT_MARGIN * np.ptp(values)) & (level != 0)
+    )
+    at_limit &= ~(starts_at_jump & ends_at_jump) | (at_limit.sum() > 1)
+    is_lost = is_long & ~at_limit | (level == 0) & starts_at_jump & ends_at_jump
+    is_clear = is_lost & (np.add.reduceat(joint.moving, starts) > lengths / 2)
+    if lengths[is_clear].sum() < 3:
         return None
-    worst = np.argmax(clear * lengths)
-    facts = {"size": level[worst]}
-    return "stuck" if level[worst] else "dead", np.repeat(lost, lengths), facts
+    longest = np.argmax(is_clear * lengths)
+    facts = {"size": level[longest]}
+    return "stuck" if level[longest] else "dead", np.repeat(is_lost, lengths), facts
 
 
-def _clipped(values: Array, joint: _Joint) -> Finding | None:
-    """Plateaus at the greatest or the least value, or both, that the joint does not make."""
-    every, levels = np.zeros(len(values), bool), []
-    means = max(3, round(0.05 * joint.rate))
+def _find_clipping(values: Array, joint: _JointMotion) -> Finding | None:
+    """Find plateaus at extreme values that the joint's motion does not explain."""
+    samples, levels = np.zeros(len(values), bool), []
+    window = max(3, round(0.05 * joint.rate))
     for sign in (1.0, -1.0):
         plateau = _plateau(sign * values, joint, 1) or _plateau(
-            sign * values, joint, means
+            sign * values, joint, window
         )
-        if plateau is not None and not joint.makes(values, plateau[0], plateau[2]):
-            every |= plateau[0]
+        if plateau is not None and not joint.explains_plateau(
+            values, plateau[0], plateau[2]
+        ):
+            samples |= plateau[0]
             levels.append(sign * plateau[1])
-    words = " and ".join(f"{each:.4g}" for each in sorted(levels))
-    return ("clipped", every, {"size": words}) if levels else None
+    levels_text = " and ".join(f"{level:.4g}" for level in sorted(levels))
+    return ("clipped", samples, {"size": levels_text}) if levels else None
 
 
 def _plateau(
-    values: Array, joint: _Joint, count: int
+    values: Array, joint: _JointMotion, count: int
 ) -> tuple[Flags, float, float] | None:
-    """Samples of a stop at the top, its value and resolution; of a crest, None.
+    """Plateau at the largest values: samples, level and resolution; None without a plateau.
 
-    Of means over so many samples the noise is small that came after the stop. Splines swing beyond
-    a stop, a little.
+    A moving mean over `count` samples reduces noise that was added after a saturation. Splines
+    overshoot a saturation slightly. The flat crest of a smooth signal is no plateau.
     """
     means = np.convolve(values, np.ones(count) / count, "same")
-    seen, (share, times) = np.sort(means[joint.moving]), EXACT
-    span = float(seen[-1] - seen[0])
-    near = max(EQUAL * span, np.diff(np.unique(values)).min())
+    sorted_means, (share, ratio) = np.sort(means[joint.moving]), EXACT_STOP
+    span = float(sorted_means[-1] - sorted_means[0])
+    resolution = max(EQUALITY_TOLERANCE * span, np.diff(np.unique(values)).min())
     if count > 1:
         noise = _noise(values) / np.sqrt(count)
-        (share, times), near = NOISY, max(near, 2e-3 * span, NEAR * noise)
-    level = _stop(seen, near, share, times)
-    if level is None or near > 0.04 * span:
+        (share, ratio), resolution = (
+            NOISY_STOP,
+            max(resolution, 2e-3 * span, PLATEAU_SIGMAS * noise),
+        )
+    level = _stop_value(sorted_means, resolution, share, ratio)
+    if level is None or resolution > 0.04 * span:
         return None
-    at = means > level - 1.5 * near
-    return (at, level, near) if _is_steep(means, at, level, near, count) else None
+    samples = means > level - 1.5 * resolution
+    return (
+        (samples, level, resolution)
+        if _is_steep(means, samples, level, resolution, count)
+        else None
+    )
 
 
-def _stop(seen: Array, near: float, share: float, times: float) -> float | None:
-    """The value near the greatest at which most sorted values are, if those below are few."""
-    levels = seen[seen >= seen[-1] - 0.2 * (seen[-1] - seen[0])]
-    within = [np.searchsorted(seen, levels + k * near) for k in (-3, -1, 1)]
-    below, here = np.diff(within, axis=0)
-    here[here < times * (len(seen) - within[2])] = 0
-    k = int(np.argmax(here))
-    enough = max(7, share * len(seen), times * below[k])
-    return float(levels[k]) if here[k] > enough else None
+def _stop_value(
+    values: Array, resolution: float, share: float, ratio: float
+) -> float | None:
+    """Level near the maximum at which most values lie; None without a stop.
+
+    Args:
+        values: Sorted values, (M,).
+        resolution: Half-width of the stop.
+        share: Smallest share of the values at the stop.
+        ratio: Smallest ratio of values at the stop to values just below, and above.
+    """
+    levels = values[values >= values[-1] - 0.2 * (values[-1] - values[0])]
+    counts = [np.searchsorted(values, levels + k * resolution) for k in (-3, -1, 1)]
+    below, at_stop = np.diff(counts, axis=0)
+    at_stop[at_stop < ratio * (len(values) - counts[2])] = 0
+    k = int(np.argmax(at_stop))
+    minimum = max(7, share * len(values), ratio * below[k])
+    return float(levels[k]) if at_stop[k] > minimum else None
 
 
 def _is_steep(
-    values: Array, plateau: Flags, level: float, near: float, count: int
+    values: Array, plateau: Flags, level: float, resolution: float, count: int
 ) -> bool:
-    """Whether values fall from a plateau at once, as from no flat crest."""
-    begins, ends = _spans(plateau).T
-    away = np.maximum(count, (ends - begins) // 4)
-    beside = values.take([begins - away, ends + away], mode="clip").mean(axis=0)
-    return bool(np.average(level - beside, weights=ends - begins) > KINK * near)
-
-
-def _coarse(values: Array, joint: _Joint) -> Finding | None:
-    """Steps that are large beside the channel's motion."""
-    gaps = np.diff(np.unique(values))
-    step = float(gaps.min())
-    whole = np.abs(gaps / step - np.round(gaps / step)) < 0.01
-    noise = step / 12**0.5
-    coarse = len(gaps) < LEVELS and whole.all() and noise > ROUGH * values.std()
-    return ("coarse", True, {"size": step, "noise": noise}) if coarse else None
-
-
-def _magnitude(values: Array, joint: _Joint) -> Finding | None:
-    """Values of one sign that bounce at zero."""
-    from scipy.ndimage import minimum_filter1d  # scipy.signal takes half a second
-
-    size, reach = np.abs(values), max(2, round(0.03 * joint.rate))
-    inner = size[1:-1]
-    least_near = minimum_filter1d(size, 4 * reach + 1)[1:-1]
-    strict = (inner == least_near) & (inner < size[:-2]) & (inner < size[2:])
-    at = 1 + np.flatnonzero(strict)
-    at = at[joint.moving[at] & (size[at] < np.median(np.abs(np.diff(values))))]
-    least, near, far = (
-        np.sum(size.take([at - k, at + k], mode="clip")) for k in (0, reach, 2 * reach)
-    )
-    bounces = len(at) >= TOUCHES and far - least < BOUNCE * (near - least)
-    signed = values.min() < 0 < values.max()
-    return ("magnitude", True, {"count": len(at)}) if bounces and not signed else None
-
-
-def _outliers(values: Array, joint: _Joint) -> Finding | None:
-    """Single samples that their neighbours do not know."""
-    bend = np.abs(values[1:-1] - (values[2:] + values[:-2]) / 2)
-    usual = OUTLYING * np.quantile(bend, 0.95)
-    alone = bend > max(8 * _noise(values), usual, SMALL * np.ptp(values))
-    alone &= np.abs(values[2:] - values[:-2]) < bend / 2
-    at = np.pad(alone, 1)
-    few = np.any(at & joint.moving) and at.sum() <= RARE * len(values)
-    return ("outliers", at, {"count": int(at.sum())}) if few else None
-
-
-def steps(
-    time: Array, values: Array, times: float = OUTLYING
-) -> Iterator[tuple[int, float]]:
-    """Samples before steps, and sizes, across which a channel's rate of change is continuous.
+    """Test whether values drop abruptly beside a plateau, unlike at a flat crest.
 
     Args:
-        time: (M,), increasing [s].
-        values: (M,).
-        times: All but the fastest of the other changes that a step is at least.
+        values: Moving means, (M,).
+        plateau: True for samples of the plateau, (M,).
+        level: Level of the plateau.
+        resolution: Half-width of the plateau.
+        count: Number of samples in a mean.
+    """
+    begins, ends = _sample_ranges(plateau).T
+    distance = np.maximum(count, (ends - begins) // 4)
+    neighbours = values.take([begins - distance, ends + distance], mode="clip").mean(
+        axis=0
+    )
+    return bool(
+        np.average(level - neighbours, weights=ends - begins) > KINK_FACTOR * resolution
+    )
+
+
+def _find_coarse_steps(values: Array, joint: _JointMotion) -> Finding | None:
+    """Find quantisation steps that are large relative to the channel's variation."""
+    gaps = np.diff(np.unique(values))
+    step = float(gaps.min())
+    is_multiple = np.abs(gaps / step - np.round(gaps / step)) < 0.01
+    noise = step / 12**0.5
+    is_coarse = (
+        len(gaps) < MAX_LEVELS
+        and is_multiple.all()
+        and noise > MIN_ROUNDING_NOISE * values.std()
+    )
+    return ("coarse", True, {"size": step, "noise": noise}) if is_coarse else None
+
+
+def _find_magnitude(values: Array, joint: _JointMotion) -> Finding | None:
+    """Find a channel of magnitudes: values of one sign with sharp minima at zero."""
+    from scipy.ndimage import minimum_filter1d  # scipy.signal takes half a second
+
+    magnitude, reach = np.abs(values), max(2, round(0.03 * joint.rate))
+    inner = magnitude[1:-1]
+    local_minimum = minimum_filter1d(magnitude, 4 * reach + 1)[1:-1]
+    is_minimum = (
+        (inner == local_minimum) & (inner < magnitude[:-2]) & (inner < magnitude[2:])
+    )
+    minima = 1 + np.flatnonzero(is_minimum)
+    minima = minima[
+        joint.moving[minima] & (magnitude[minima] < np.median(np.abs(np.diff(values))))
+    ]
+    at_minimum, at_reach, at_double = (
+        np.sum(magnitude.take([minima - k, minima + k], mode="clip"))
+        for k in (0, reach, 2 * reach)
+    )
+    has_bounces = len(
+        minima
+    ) >= MIN_TOUCHES and at_double - at_minimum < MAX_RISE_RATIO * (
+        at_reach - at_minimum
+    )
+    has_both_signs = values.min() < 0 < values.max()
+    return (
+        ("magnitude", True, {"count": len(minima)})
+        if has_bounces and not has_both_signs
+        else None
+    )
+
+
+def _find_outliers(values: Array, joint: _JointMotion) -> Finding | None:
+    """Find single samples that deviate from both neighbouring samples."""
+    deviation = np.abs(values[1:-1] - (values[2:] + values[:-2]) / 2)
+    threshold = OUTLIER_FACTOR * np.quantile(deviation, 0.95)
+    is_isolated = deviation > max(
+        8 * _noise(values), threshold, MIN_OUTLIER_SIZE * np.ptp(values)
+    )
+    is_isolated &= np.abs(values[2:] - values[:-2]) < deviation / 2
+    samples = np.pad(is_isolated, 1)
+    is_rare = np.any(
+        samples & joint.moving
+    ) and samples.sum() <= MAX_OUTLIER_SHARE * len(values)
+    return ("outliers", samples, {"count": int(samples.sum())}) if is_rare else None
+
+
+def signal_steps(
+    time: Array, values: Array, factor: float = OUTLIER_FACTOR
+) -> Iterator[tuple[int, float]]:
+    """Yield steps of a signal across which its rate of change is continuous.
+
+    Yields the index of the sample before each step, and the size of the step.
+
+    Args:
+        time: Times, increasing, (M,) [s].
+        values: Values of the signal, (M,).
+        factor: Smallest change of rate, as a multiple of the 99th percentile.
     """
     speed = np.diff(values) / np.diff(time)
     if len(speed) < 5:
         return
     before, after = speed[:-2], speed[2:]
     change = speed[1:-1] - (before + after) / 2
-    usual = times * float(np.quantile(np.abs(change), 0.99))
-    alone = np.abs(before - after) < np.abs(change) / 4
-    for i in 1 + np.flatnonzero((np.abs(change) > usual) & alone):
+    threshold = factor * float(np.quantile(np.abs(change), 0.99))
+    is_isolated = np.abs(before - after) < np.abs(change) / 4
+    for i in 1 + np.flatnonzero((np.abs(change) > threshold) & is_isolated):
         yield int(i), float(change[i - 1] * (time[i + 1] - time[i]))
 
 
-def _offset_step(values: Array, joint: _Joint) -> Finding | None:
-    """Jumps of a torque, at most three, away from reversals."""
-    reach, samples = round(AWAY * joint.rate), np.arange(len(values))
-    turns = np.diff(np.sign(joint.speed)) != 0
-    turning = np.convolve(turns, np.ones(2 * reach + 1), "same") > 0.5
-    every = steps(samples / joint.rate, values, JUMP)
-    sizes = {i + 1: size for i, size in every if not turning[i]}
+def _find_offset_steps(values: Array, joint: _JointMotion) -> Finding | None:
+    """Find one to three jumps of a torque away from reversals of the motion."""
+    reach, indices = round(REVERSAL_MARGIN * joint.rate), np.arange(len(values))
+    reversals = np.diff(np.sign(joint.speed)) != 0
+    near_reversal = np.convolve(reversals, np.ones(2 * reach + 1), "same") > 0.5
+    jumps = signal_steps(indices / joint.rate, values, JUMP_FACTOR)
+    sizes = {i + 1: size for i, size in jumps if not near_reversal[i]}
     if not 0 < len(sizes) <= 3:
         return None
     size = max(sizes.values(), key=abs)
-    return "offset-step", np.isin(samples, list(sizes)), {"size": size}
+    return "offset-step", np.isin(indices, list(sizes)), {"size": size}
 
 
-TESTS = (
-    _constant,
-    _slow,
-    _stuck,
-    _clipped,
-    _magnitude,
-    _coarse,
-    _outliers,
-    _offset_step,
+TORQUE_TESTS = (
+    _find_constant,
+    _find_slow_updates,
+    _find_stuck_runs,
+    _find_clipping,
+    _find_magnitude,
+    _find_coarse_steps,
+    _find_outliers,
+    _find_offset_steps,
 )
-"""Of a torque; the first that finds something decides."""
+"""Tests of a torque channel, in order; the first finding is reported."""
 
 
-def _copies(
+def _find_copies(
     names: Sequence[str], values: Array, moving: Sequence[int]
 ) -> Iterator[tuple[int, Finding]]:
-    """Channels that are others' copies, or their negatives, by their numbers."""
+    """Find channels that copy another channel or its negative, by index of the channel.
+
+    Args:
+        names: Joint names.
+        values: Values of a signal, (M, n).
+        moving: Indices of the moving joints.
+    """
     sizes = np.abs(values)
     for i, j in combinations(moving, 2):
-        same = np.abs(sizes[:, i] - sizes[:, j]) <= EQUAL * np.ptp(values[:, i])
-        if np.ptp(values[:, i]) > 0 and same.mean() > COPIED:
+        same = np.abs(sizes[:, i] - sizes[:, j]) <= EQUALITY_TOLERANCE * np.ptp(
+            values[:, i]
+        )
+        if np.ptp(values[:, i]) > 0 and same.mean() > MIN_COPIED_SHARE:
             yield i, ("copied", same, {"other": names[j]})
             yield j, ("copied", same, {"other": names[i]})
 
 
 def _torque_findings(
-    names: Sequence[str], torque: Array, joints: Sequence[_Joint]
+    names: Sequence[str], torque: Array, joints: Sequence[_JointMotion]
 ) -> Iterator[tuple[int, Finding]]:
-    """Findings of torques, by the numbers of their joints."""
-    moving = [k for k, each in enumerate(joints) if each.moves]
-    findings = dict(_copies(names, torque, moving))
+    """Findings of torque channels, by joint index."""
+    moving = [k for k, each in enumerate(joints) if each.is_moving]
+    findings = dict(_find_copies(names, torque, moving))
     for k in moving:
-        tested = (test(torque[:, k], joints[k]) for test in TESTS if k not in findings)
-        first = next(filter(None, tested), None)
-        findings |= {} if first is None else {k: first}
+        tested = (
+            test(torque[:, k], joints[k]) for test in TORQUE_TESTS if k not in findings
+        )
+        finding = next(filter(None, tested), None)
+        findings |= {} if finding is None else {k: finding}
     yield from findings.items()
-    clean = [k for k in moving if k not in findings]
-    yield from _odd_noise(torque, clean, joints[0].rate)
+    faultless = [k for k in moving if k not in findings]
+    yield from _find_unusual_noise(torque, faultless, joints[0].rate)
 
 
-def _odd_noise(
-    torque: Array, clean: Sequence[int], rate: float
+def _find_unusual_noise(
+    torque: Array, faultless: Sequence[int], rate: float
 ) -> Iterator[tuple[int, Finding]]:
-    """Channels that are smoother, or noisier, than all others."""
-    values = torque[:, clean].T
-    noise = np.array([_noise(each) for each in values])
-    thinned = np.array([_noise(each[::THINNED]) for each in values])
+    """Find torque channels that are smoother or noisier than all others, by index.
+
+    Args:
+        torque: Torques, (M, n).
+        faultless: Indices of the channels without other findings.
+        rate: Sampling rate [Hz].
+    """
+    values = torque[:, faultless].T
+    noise = np.array([_noise(channel) for channel in values])
+    thinned = np.array([_noise(channel[::THINNING]) for channel in values])
     whiteness = noise / np.maximum(thinned, np.finfo(float).tiny)
     size = np.sqrt((values**2).mean(axis=1))
-    for c, k in enumerate(clean) if len(clean) > 2 else ():
-        others = np.arange(len(clean)) != c
+    for c, k in enumerate(faultless) if len(faultless) > 2 else ():
+        others = np.arange(len(faultless)) != c
         relative = size[c] * np.max((noise / size)[others])
-        beside = max(np.median(noise[others]), relative)
-        smooth = 0 < whiteness[c] < SMOOTHED and rate > FASTEST
-        if smooth and np.median(whiteness[others]) > WHITE:
+        reference = max(np.median(noise[others]), relative)
+        is_smooth = 0 < whiteness[c] < MAX_SMOOTHED_RATIO and rate > MIN_SMOOTHED_RATE
+        if is_smooth and np.median(whiteness[others]) > MIN_WHITE_RATIO:
             yield k, ("smoothed", True, {"size": whiteness[c]})
-        elif noise[c] > max(NOISIER * beside, LOUD * size[c]):
+        elif noise[c] > max(NOISE_FACTOR * reference, MIN_RELATIVE_NOISE * size[c]):
             yield k, ("noisy", True, {"size": noise[c]})
 
 
 def _position_findings(
-    names: Sequence[str], position: Array, joints: Sequence[_Joint]
+    names: Sequence[str], position: Array, joints: Sequence[_JointMotion]
 ) -> Iterator[tuple[int, Finding]]:
-    """Encoders that stand still and jump, are updated rarely, or are others' copies."""
-    moving = [k for k, each in enumerate(joints) if each.moves]
-    yield from _copies(names, position, moving)
-    slow = {k: _slow(position[:, k], joints[k]) for k in moving}
+    """Findings of position channels, by joint index: copied, slow or stuck encoders."""
+    moving = [k for k, each in enumerate(joints) if each.is_moving]
+    yield from _find_copies(names, position, moving)
+    slow_findings = {k: _find_slow_updates(position[:, k], joints[k]) for k in moving}
     for k in moving:
-        finding = slow[k]
-        # of all encoders, it is a slow device: poses are interpolated
-        if finding is not None and not all(slow.values()):
+        finding = slow_findings[k]
+        # if all encoders are slow, it is a slow device whose poses are interpolated elsewhere
+        if finding is not None and not all(slow_findings.values()):
             yield k, finding
-        starts, lengths = _runs(position[:, k])
+        starts, lengths = _equal_runs(position[:, k])
         change = np.abs(np.diff(position[:, k], append=position[-1, k]))
-        jumps = change[starts + lengths - 1] > JUMP * np.quantile(change, 0.999)
-        long = lengths > STUCK * np.median(lengths)
-        lost = np.repeat(jumps & long, lengths)
-        if lost.any():
-            yield k, ("stuck", lost, {})
+        jumps = change[starts + lengths - 1] > JUMP_FACTOR * np.quantile(change, 0.999)
+        is_long = lengths > STUCK_FACTOR * np.median(lengths)
+        is_lost = np.repeat(jumps & is_long, lengths)
+        if is_lost.any():
+            yield k, ("stuck", is_lost, {})
 
 
-KEPT = {"coarse", "offset-step", "smoothed", "noisy"}
-"""Faults of torques that concern all samples alike, or whose right part nobody knows."""
+USABLE_KINDS = {"coarse", "offset-step", "smoothed", "noisy"}
+"""Torque faults whose samples stay in use: all are affected, or the correct part is unknown."""
 
 
 def channel_faults(source: Source, *, torques: bool = True) -> tuple[ChannelFault, ...]:
-    """Faults of a recording's positions and torques, of a long one part by part.
+    """Faults of a recording's positions and torques, block by block.
 
     Args:
         source: The recording.
-        torques: Whether torques are looked at, too.
+        torques: True to test torques as well as positions.
     """
     return tuple(
         fault
         for begin, end in source.segments
-        for first in range(begin, end, SAMPLES)
-        for fault in _faults(
-            source.part(first, min(end, first + SAMPLES)), first, torques=torques
+        for first in range(begin, end, MAX_BLOCK_SAMPLES)
+        for fault in _block_faults(
+            source.part(first, min(end, first + MAX_BLOCK_SAMPLES)),
+            first,
+            torques=torques,
         )
     )
 
 
-def _faults(
+def _block_faults(
     recording: Recording, first: int, *, torques: bool
 ) -> Iterator[ChannelFault]:
-    """Those of a part of a recording, by the number of its first sample."""
-    if recording.samples < FEWEST:
+    """Faults of a block of a recording.
+
+    Args:
+        recording: Block of the recording.
+        first: Index of the block's first sample.
+        torques: True to test torques as well as positions.
+    """
+    if recording.samples < MIN_SAMPLES:
         return
     names, torque = recording.names, recording.torque if torques else None
-    joints = [_Joint.of(each, recording.rate) for each in recording.position.T]
+    joints = [
+        _JointMotion.from_position(each, recording.rate)
+        for each in recording.position.T
+    ]
     encoders = _position_findings(names, recording.position, joints)
     findings = [("position", *each) for each in encoders]
     if torque is not None:
         drives = _torque_findings(names, torque, joints)
         findings += [("torque", *each) for each in drives]
-    for signal, k, (kind, where, facts) in findings:
-        at = np.broadcast_to(where, recording.samples)
-        kept = kind in KEPT if signal == "torque" else kind != "stuck"
-        times = recording.time[at]
+    for signal, k, (kind, finding_samples, facts) in findings:
+        samples = np.broadcast_to(finding_samples, recording.samples)
+        is_usable = kind in USABLE_KINDS if signal == "torque" else kind != "stuck"
+        times = recording.time[samples]
         yield ChannelFault(
             kind=kind,
             signal=signal,
             name=names[k],
-            share=float(at.mean()),
+            share=float(samples.mean()),
             first=float(times[0]),
             last=float(times[-1]),
             facts=facts,
-            left_out=first + _spans(at & (not kept)),
+            left_out=first + _sample_ranges(samples & (not is_usable)),
         )
 
 
-def _spans(at: Flags) -> Spans:
-    """Runs of flags."""
-    edges = np.diff(np.pad(at, 1).astype(np.int64))
+def _sample_ranges(flags: Flags) -> Spans:
+    """Ranges of consecutive true flags, (k, 2)."""
+    edges = np.diff(np.pad(flags, 1).astype(np.int64))
     return np.flatnonzero(edges).reshape(-1, 2)
 
 
-def left_out(
+def excluded_samples(
     faults: Iterable[ChannelFault],
     channels: Sequence[str],
-    whole: Sequence[str],
+    excluded_channels: Sequence[str],
     reach: int,
 ) -> tuple[Spans, ...]:
-    """Samples of channels that estimates leave out, (k, 2) each; () where there are none.
+    """Samples of each channel that estimates leave out, (k, 2) each; () without any.
 
     Args:
-        faults: Of the recording.
-        channels: As "torque/elbow".
-        whole: Those that are left out altogether, by patterns of a shell.
-        reach: Samples to either side that a wrong position spoils, of all channels.
+        faults: Faults of the recording.
+        channels: Names of channels, such as "torque/elbow".
+        excluded_channels: Shell patterns of channels that are left out completely.
+        reach: Number of samples on either side of a wrong position that are left out of all
+            channels.
     """
-    around, every = np.array([-reach, reach]), np.array([[0, np.iinfo(np.int64).max]])
-    each = []
+    margins, all_samples = (
+        np.array([-reach, reach]),
+        np.array([[0, np.iinfo(np.int64).max]]),
+    )
+    ranges = []
     for channel in channels:
         spans = [np.zeros((0, 2), np.int64)]
-        spans += [every] * any(fnmatchcase(channel, pattern) for pattern in whole)
+        spans += [all_samples] * any(
+            fnmatchcase(channel, pattern) for pattern in excluded_channels
+        )
         for fault in faults:
             if fault.signal == "position":
-                spans.append(fault.left_out + around)
+                spans.append(fault.left_out + margins)
             elif f"{fault.signal}/{fault.name}" == channel:
                 spans.append(fault.left_out)
-        each.append(np.concatenate(spans))
-    return tuple(each) if any(map(len, each)) else ()
+        ranges.append(np.concatenate(spans))
+    return tuple(ranges) if any(map(len, ranges)) else ()

@@ -1,8 +1,8 @@
-"""Links of a model file, those that no matter can make, and the nearest bodies that can be.
+"""Repair of physically inconsistent inertias in a model file.
 
-Links that are fixed to each other are one body before anything is judged: a frame without inertia,
-or with moments of -2e-22, does no harm then. What is still wrong is repaired: rounding always, and
-what is more than that where no bodies are given in its place.
+Links fixed to each other are lumped into one body before the check: a frame without inertia, or
+with moments of -2e-22, is harmless then. Bodies that are still inconsistent are replaced:
+rounding errors always, larger errors by the nearest consistent body or a given body.
 """
 
 from __future__ import annotations
@@ -13,278 +13,351 @@ from typing import TypeAlias
 
 import numpy as np
 
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import ModelError, UnknownName, quoted
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import ModelError, UnknownName, quoted_list
 from testbed.core.base.transform import Transform
-from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.inertia import ZERO_INERTIA, Inertia
 from testbed.core.robot.refusals import InertiaError
-from testbed.core.robot.rigid_matter import ROUNDING, SMALL, inertia_flaw, nearest_body
+from testbed.core.robot.rigid_matter import (
+    POINT_MASS_RADIUS_RATIO,
+    POINT_MASS_TOLERANCE,
+    inertia_flaw,
+    nearest_consistent_inertia,
+)
 
-Bodies: TypeAlias = Mapping[str, Inertia]
-"""By the link that carries all that is fixed to it: its inertia about and along its frame."""
+InertiasByLink: TypeAlias = Mapping[str, Inertia]
+"""Inertias of lumped bodies, by the link that carries the fixed links, about and along its
+frame."""
 
-THINNEST = 1e-6
-"""Share of a repaired body's greatest principal second moment that its others have at least."""
+MIN_MOMENT_RATIO = 1e-6
+"""Least ratio of a repaired body's principal second moments to the greatest."""
 
-LIGHTEST = 1e-5
-"""Mass of a repaired body that had none, in parts of the robot's."""
+MIN_MASS_RATIO = 1e-5
+"""Mass given to a massless body, in parts of the robot's mass."""
 
-NAMED = 3
-"""Flaws that are listed one by one."""
+MAX_LISTED_FLAWS = 3
+"""Largest number of flaws that are listed one by one."""
 
 
 @dataclass(frozen=True, eq=False)
-class FileLink:
-    """A link of a model file.
+class ModelLink:
+    """Link of a model file, with its place in the tree and its inertia.
 
     Attributes:
-        name: In the file.
-        body: Index of the tree's body that it is part of, -1 for the pedestal.
-        parent: The link that carries it by whatever joint; "" for the root.
-        carrier: The link to which fixed joints of the file hold it; itself where none does.
+        name: Name in the file.
+        body: Index of the tree's body that contains the link, -1 for the pedestal.
+        parent: Name of the link that carries it by a joint of any type; "" for the root.
+        fixed_carrier: Name of the link to which fixed joints of the file connect it; `name` if none
+            does.
         X_BL: Pose of the link L in the frame of its body B.
-        inertia: As the file has it, about and along the link's frame.
+        inertia: Inertia as stated in the file, about and along the link's frame.
     """
 
     name: str
     body: int
     parent: str
-    carrier: str
+    fixed_carrier: str
     X_BL: Transform
     inertia: Inertia
 
     @property
-    def in_body(self) -> Inertia:
-        """Its inertia about and along the body's frame."""
+    def inertia_in_body(self) -> Inertia:
+        """Inertia of the link about and along the body's frame."""
         return self.inertia.moved(self.X_BL)
 
 
 @dataclass(frozen=True, eq=False)
-class Edit:
-    """Other numbers of a model file.
+class ModelEdit:
+    """Changes of a model file: inertias, friction, torque constants, delay.
 
     Attributes:
         links: New inertias, about and along the links' frames, by link.
-        joints: Friction and rotor inertia that change, by joint.
-        gears: True torque over what the drive reports, by joint.
-        delay: From a command to its torque [s].
-        diagnostics: What could not be shared out among links.
+        joints: New friction and rotor inertias, by joint and parameter.
+        torque_ratios: True torque over the torque that the drive reports, by joint.
+        delay: Delay from a command to its torque [s].
+        diagnostics: Changes that could not be distributed among links.
     """
 
     links: Mapping[str, Inertia]
     joints: Mapping[str, Mapping[str, float]]
-    gears: Mapping[str, float] = field(default_factory=dict)
+    torque_ratios: Mapping[str, float] = field(default_factory=dict)
     delay: float = 0.0
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
-def total(parts: Iterable[Inertia]) -> Inertia:
-    """Bodies welded together, all about the same frame."""
-    return sum(parts, NOTHING)
+def total_inertia(parts: Iterable[Inertia]) -> Inertia:
+    """Sum of the inertias of bodies welded together, all about the same frame."""
+    return sum(parts, ZERO_INERTIA)
 
 
 @dataclass(frozen=True, eq=False)
 class Repair:
-    """What is taken in place of a file's inertias.
+    """Replacements of physically inconsistent inertias in a model file.
 
     Attributes:
-        links: By link, its new inertia about and along its own frame; all others keep theirs.
-        bodies: The nearest bodies of which `links` is made, by the link that carries all that is
-            fixed to it, about and along its frame; those changed by more than rounding.
-        flaws: What was wrong with each of them, a line each.
-        diagnostics: What to know of the repair.
+        links: New inertias by link, about and along its frame; other links are unchanged.
+        bodies: New inertias of lumped bodies with more than rounding errors, from which `links` is
+            made, by the link that carries the fixed links.
+        flaws: Flaws of these bodies, a line each.
+        diagnostics: Diagnostics of the repair.
     """
 
     links: Mapping[str, Inertia]
-    bodies: Bodies
+    bodies: InertiasByLink
     flaws: tuple[str, ...]
     diagnostics: tuple[Diagnostic, ...]
 
 
-def repaired(
-    links: Sequence[FileLink],
+def repair_inertias(
+    links: Sequence[ModelLink],
     suspects: Mapping[str, str],
     parents: Sequence[int],
-    given: Bodies | None,
+    replacements: InertiasByLink | None,
     source: str,
     reach: float,
 ) -> Repair:
-    """Replace inertias of a file that no body, or none of such lengths, has.
+    """Replace inertias that are physically inconsistent or out of proportion to the robot.
 
     Args:
-        links: All of the file, carriers before what they carry.
-        suspects: What is wrong with single links, by name.
-        parents: Of the tree's bodies, where chains may end in bodies without matter; else ().
-        given: Bodies to take in place of the file's, as `Repair.bodies` has them; what else is
-            wrong is refused then. None takes the nearest bodies.
-        source: The file's name, for messages.
+        links: All links of the file, carriers before what they carry.
+        suspects: Flaws of single links, by name.
+        parents: Parent indices of the tree's bodies, to find massless chain ends; () for no search.
+        replacements: Inertias in place of the file's, as in `Repair.bodies`; other flaws are errors
+            then. None takes the nearest consistent inertias.
+        source: File name, for messages.
         reach: Sum of the distances from joint to joint [m].
 
     Raises:
-        InertiaError: A body is wrong, and none is given in its place.
-        ModelError: A mass is negative or a number is none: no body is near.
-        UnknownName: A body is given for a link that is fixed to another, or is not there.
+        InertiaError: `replacements` hold no inertia for an inconsistent body.
+        ModelError: A mass is negative or a number is not finite: no nearest body exists.
+        UnknownName: A replacement is for an unknown link or a link fixed to another.
     """
-    groups: dict[str, list[FileLink]] = {}  # the first of each carries the others
+    groups: dict[str, list[ModelLink]] = {}  # carrier first, then the links fixed to it
     for link in links:
-        groups.setdefault(link.carrier, []).append(link)
-    given_bodies = dict(given or {})
-    for name in given_bodies:
+        groups.setdefault(link.fixed_carrier, []).append(link)
+    new_bodies = dict(replacements or {})
+    for name in new_bodies:
         if name not in groups:
             raise UnknownName("link to repair", name, groups)
-    bodies = {name: _lump(*group) for name, group in groups.items()} | given_bodies
+    bodies = {
+        name: _lumped_inertia(*group) for name, group in groups.items()
+    } | new_bodies
     moving = {name: body for name, body in bodies.items() if groups[name][0].body >= 0}
-    ball, odd = _out_of_scale(moving, reach)
-    bodies |= dict.fromkeys(odd, ball)
-    doubted = {
-        link.carrier: suspects[link.name]
+    average_body, scale_messages = _out_of_scale(moving, reach)
+    bodies |= dict.fromkeys(scale_messages, average_body)
+    link_flaws = {
+        link.fixed_carrier: suspects[link.name]
         for link in links[::-1]
         if link.name in suspects
     }
-    judged = [name for name in groups if name in doubted or name in given_bodies]
-    flaws = _flaws({name: bodies[name] for name in judged}, doubted, source)
-    flaws |= dict(_bare_ends(links, bodies, parents))
-    robot = _Size.of(bodies.values())
-    nearest = {name: robot.nearest(bodies[name]) for name in flaws}
-    slight = [name for name in flaws if robot.slight(bodies[name], nearest[name])]
-    grave = {name: line for name, line in flaws.items() if name not in slight}
-    diagnostics = _diagnostics(odd.values(), slight, grave)
-    nearest, grave = nearest | dict.fromkeys(odd, ball), grave | odd
-    if grave and given is not None:
-        raise InertiaError(source, list(grave.values()))
-    changed = {name: bodies[name] for name in judged} | nearest
-    emptied = (x.name for n in changed for x in groups[n][1:] if x.inertia.pseudo.any())
+    checked = [name for name in groups if name in link_flaws or name in new_bodies]
+    flaws = _flaws({name: bodies[name] for name in checked}, link_flaws, source)
+    flaws |= dict(_massless_ends(links, bodies, parents))
+    scale = _RobotScale.of_bodies(bodies.values())
+    nearest = {name: scale.nearest(bodies[name]) for name in flaws}
+    rounding_names = [
+        name for name in flaws if scale.is_rounding(bodies[name], nearest[name])
+    ]
+    flaw_messages = {
+        name: line for name, line in flaws.items() if name not in rounding_names
+    }
+    diagnostics = _diagnostics(scale_messages.values(), rounding_names, flaw_messages)
+    nearest, flaw_messages = (
+        nearest | dict.fromkeys(scale_messages, average_body),
+        flaw_messages | scale_messages,
+    )
+    if flaw_messages and replacements is not None:
+        raise InertiaError(source, list(flaw_messages.values()))
+    changed = {name: bodies[name] for name in checked} | nearest
+    emptied_links = (
+        x.name for n in changed for x in groups[n][1:] if x.inertia.pseudo.any()
+    )
     return Repair(
-        links=dict.fromkeys(emptied, NOTHING) | changed,
-        bodies={name: nearest[name] for name in grave},
-        flaws=tuple(grave.values()),
+        links=dict.fromkeys(emptied_links, ZERO_INERTIA) | changed,
+        bodies={name: nearest[name] for name in flaw_messages},
+        flaws=tuple(flaw_messages.values()),
         diagnostics=tuple(diagnostics),
     )
 
 
-def _flaws(bodies: Bodies, doubted: Mapping[str, str], source: str) -> dict[str, str]:
-    """What is wrong with bodies, by name; `doubted` is what is wrong with the first link of each.
+def _flaws(
+    bodies: InertiasByLink, link_flaws: Mapping[str, str], source: str
+) -> dict[str, str]:
+    """Reasons why lumped bodies are physically inconsistent, by name.
+
+    Args:
+        bodies: Lumped bodies by name.
+        link_flaws: Flaw of the first inconsistent link of each body, by name of the body.
+        source: File name, for messages.
 
     Raises:
-        ModelError: No body is near one of them.
+        ModelError: No consistent body is near, as a mass is negative or a number not finite.
     """
-    flaws = {name: line for name, body in bodies.items() if (line := _flaw(name, body))}
+    flaws = {
+        name: line for name, body in bodies.items() if (line := _body_flaw(name, body))
+    }
     for name, line in flaws.items():
         if not (bodies[name].mass >= 0 and bodies[name].within_limits):
-            raise ModelError(f"{source}: {doubted.get(name, line)}; correct the file")
+            raise ModelError(
+                f"{source}: {link_flaws.get(name, line)}; correct the file"
+            )
     return flaws
 
 
 def _diagnostics(
-    odd: Iterable[str], slight: Iterable[str], grave: Iterable[str]
+    scale_messages: Iterable[str],
+    rounding_names: Iterable[str],
+    flaw_names: Iterable[str],
 ) -> Iterator[Diagnostic]:
-    """What to know of bodies out of proportion, off by rounding, and off by more."""
-    for line in odd:
-        yield diagnose("model.scale", line)
-    if slight:
-        yield diagnose("model.rounding", quoted(slight))
-    if grave:
-        yield diagnose("model.inertia", quoted(grave))
+    """Diagnostics of bodies out of proportion, with rounding errors, and with larger errors.
+
+    Args:
+        scale_messages: Messages for bodies out of proportion.
+        rounding_names: Names of bodies with rounding errors.
+        flaw_names: Names of bodies with larger errors.
+    """
+    for line in scale_messages:
+        yield make_diagnostic("model.scale", line)
+    if rounding_names:
+        yield make_diagnostic("model.rounding", quoted_list(rounding_names))
+    if flaw_names:
+        yield make_diagnostic("model.inertia", quoted_list(flaw_names))
 
 
 @dataclass(frozen=True)
-class _Size:
-    """Of a robot: what is small is so beside it.
+class _RobotScale:
+    """Mass and length of a robot, to which inertias are compared.
 
     Attributes:
-        mass: [kg].
-        reach: The largest radius of gyration of its bodies about their frames [m].
+        mass: Sum of the bodies' masses [kg].
+        reach: Largest radius of gyration of the bodies about their frames [m].
     """
 
     mass: float
     reach: float
 
     @staticmethod
-    def of(bodies: Iterable[Inertia]) -> _Size:
+    def of_bodies(bodies: Iterable[Inertia]) -> _RobotScale:
+        """Scale of a robot from its bodies; one in place of zero."""
         heavy = [body for body in bodies if body.mass > 0]
         reach = max([0.0, *(body.radius for body in heavy)])
-        return _Size(sum(body.mass for body in heavy) or 1.0, reach or 1.0)
+        return _RobotScale(sum(body.mass for body in heavy) or 1.0, reach or 1.0)
 
     def nearest(self, body: Inertia) -> Inertia:
-        """The nearest body that can be."""
-        return nearest_body(body, THINNEST, LIGHTEST * self.mass, self.reach)
+        """Nearest physically consistent inertia at the scale of the robot."""
+        return nearest_consistent_inertia(
+            body, MIN_MOMENT_RATIO, MIN_MASS_RATIO * self.mass, self.reach
+        )
 
-    def slight(self, old: Inertia, new: Inertia) -> bool:
-        """Whether a body is changed by no more than rounding."""
+    def is_rounding(self, old: Inertia, new: Inertia) -> bool:
+        """Test whether an inertia changes by no more than rounding.
+
+        Args:
+            old: Inertia before the repair.
+            new: Inertia after the repair.
+        """
         spread = old.pseudo[:3, :3] - old.mass * np.outer(old.com, old.com)
-        # change of a body's second moments that is rounding, in parts of its greatest
-        own = 1e-4 * np.linalg.eigvalsh(spread)[-1]
+        # change of a body's second moments that is rounding, in parts of the greatest of them
+        body_tolerance = 1e-4 * np.linalg.eigvalsh(spread)[-1]
         change = np.abs(new.pseudo - old.pseudo).max()
-        # the same in parts of the robot's: its mass times the square of its largest radius of
+        # the same change, in parts of the robot's mass times the square of the largest radius of
         # gyration
-        whole = 1e-9 * self.mass * self.reach**2
-        return bool(old.mass == new.mass and change <= max(own, whole))
+        robot_tolerance = 1e-9 * self.mass * self.reach**2
+        return bool(
+            old.mass == new.mass and change <= max(body_tolerance, robot_tolerance)
+        )
 
 
-def _out_of_scale(bodies: Bodies, reach: float) -> tuple[Inertia, dict[str, str]]:
-    """Body of average size, and a message for bodies out of proportion, by name."""
-    known = {
+def _out_of_scale(
+    bodies: InertiasByLink, reach: float
+) -> tuple[Inertia, dict[str, str]]:
+    """Average body, and messages for bodies out of proportion to the robot, by name.
+
+    Args:
+        bodies: Moving lumped bodies by name.
+        reach: Sum of the distances from joint to joint [m].
+    """
+    valid = {
         name: body
         for name, body in bodies.items()
         if body.mass > 0 and body.within_limits
     }
-    sizes = {name: (body.mass, body.radius) for name, body in known.items()}
-    # mass of a body in parts of the robot's median one at least
-    dust, reach = (
+    sizes = {name: (body.mass, body.radius) for name, body in valid.items()}
+    # least mass of a body, in parts of the median
+    min_mass, reach = (
         1e-7 * np.median([0.0, *(mass for mass, _ in sizes.values())]),
         max(reach, 1.0),
     )
-    odd, good = {}, []
+    messages, regular = {}, []
     for name, (mass, radius) in sizes.items():
-        # mass over the cube of the robot's lengths at most, more than steel's [kg/m^3], and radius
-        # of gyration of a body about its frame in parts of them
-        if dust < mass < 1e4 * reach**3 and radius < 10.0 * reach:
-            good.append((mass, radius))
+        # greatest mass over the cube of the robot's length, more than for steel [kg/m^3], and
+        # greatest radius of gyration in parts of this length
+        if min_mass < mass < 1e4 * reach**3 and radius < 10.0 * reach:
+            regular.append((mass, radius))
         else:
-            odd[name] = _SIZE.format(name, mass, radius)
-    mass, radius = np.mean(good or [(1.0, SMALL * reach)], axis=0)
-    ball = 2 / 3 * mass * radius**2 * np.eye(3)
-    return Inertia.about_centre(mass, np.zeros(3), ball), odd
+            messages[name] = _MESSAGE.format(name, mass, radius)
+    mass, radius = np.mean(regular or [(1.0, POINT_MASS_RADIUS_RATIO * reach)], axis=0)
+    tensor = 2 / 3 * mass * radius**2 * np.eye(3)
+    return Inertia.about_centre(mass, np.zeros(3), tensor), messages
 
 
-_SIZE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g} m about its joint"
+_MESSAGE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g} m about its joint"
+"""Message for a body out of proportion: name, mass, radius of gyration."""
 
 
-def _lump(carrier: FileLink, *others: FileLink) -> Inertia:
-    """A link and all that is fixed to it, about and along its frame; alone to the last bit."""
+def _lumped_inertia(carrier: ModelLink, *others: ModelLink) -> Inertia:
+    """Inertia of a link and all links fixed to it, in the link's frame.
+
+    Without massive fixed links the link's inertia is unchanged to the last bit.
+
+    Args:
+        carrier: Link that carries the others.
+        others: Links fixed to it.
+    """
     X_CB = carrier.X_BL.inverse
-    full = (link for link in others if link.inertia.pseudo.any())
-    return carrier.inertia + total(
-        link.inertia.moved(X_CB @ link.X_BL) for link in full
+    massive = (link for link in others if link.inertia.pseudo.any())
+    return carrier.inertia + total_inertia(
+        link.inertia.moved(X_CB @ link.X_BL) for link in massive
     )
 
 
-def _flaw(name: str, body: Inertia) -> str | None:
-    """What is wrong with a body; moments that are rounding beside its distance are none."""
+def _body_flaw(name: str, body: Inertia) -> str | None:
+    """Reason why a lumped body is physically inconsistent; None if consistent.
+
+    Central moments that are rounding of the moments about the frame count as zero.
+    """
     central = body.central
-    if np.abs(central).max() <= ROUNDING * np.abs(body.tensor).max():
+    if np.abs(central).max() <= POINT_MASS_TOLERANCE * np.abs(body.tensor).max():
         central = np.zeros((3, 3))
     return inertia_flaw(name, body.mass, central)
 
 
-def _bare_ends(
-    links: Sequence[FileLink], bodies: Bodies, parents: Sequence[int]
+def _massless_ends(
+    links: Sequence[ModelLink], bodies: InertiasByLink, parents: Sequence[int]
 ) -> Iterator[tuple[str, str]]:
-    """Bodies of the tree without matter that carry none, and what is wrong with them."""
-    full = [False] * len(parents)
+    """Moving bodies without mass at chain ends, and the flaw of each.
+
+    Neither such a body nor any body that it carries has mass, while some body of the tree has.
+
+    Args:
+        links: All links of the file, carriers before what they carry.
+        bodies: Lumped bodies by name.
+        parents: Parent indices of the tree's bodies.
+    """
+    has_mass = [False] * len(parents)
     for link in links:
         if (
-            0 <= link.body < len(full)
+            0 <= link.body < len(has_mass)
             and link.name in bodies
             and bodies[link.name].pseudo.any()
         ):
-            full[link.body] = True
+            has_mass[link.body] = True
     for body in reversed(range(len(parents))):
-        if full[body] and parents[body] >= 0:
-            full[parents[body]] = True
-    first = {link.body: link.carrier for link in reversed(links)}
-    for body, name in sorted(first.items()):
-        if 0 <= body < len(parents) and any(full) and not full[body]:
+        if has_mass[body] and parents[body] >= 0:
+            has_mass[parents[body]] = True
+    carriers = {link.body: link.fixed_carrier for link in reversed(links)}
+    for body, name in sorted(carriers.items()):
+        if 0 <= body < len(parents) and any(has_mass) and not has_mass[body]:
             yield (
                 name,
                 f"link '{name}' moves, and neither it nor what it carries has a mass",

@@ -1,4 +1,4 @@
-"""Bodies that rigid matter can make: what keeps a link from being one, and the nearest one."""
+"""Physical consistency of rigid-body inertias, and the nearest consistent inertia."""
 
 from __future__ import annotations
 
@@ -7,51 +7,54 @@ from numpy.typing import ArrayLike
 
 from testbed.core.robot.inertia import Inertia
 
-ROUNDING = 1e-9
-"""Part of a body's second moments about its frame that is rounding: a point has no others."""
+POINT_MASS_TOLERANCE = 1e-9
+"""Share of a body's second moments about the frame below which central moments are rounding.
+
+A body with smaller central moments is a point mass."""
 
 
-SMALL = 0.1
-"""Radius of gyration of what was a point, in parts of its distance or of the robot's lengths."""
+POINT_MASS_RADIUS_RATIO = 0.1
+"""Radius of gyration given to a point mass, relative to its distance or to the robot's length."""
 
 
-def nearest_body(body: Inertia, thinnest: float, mass: float, reach: float) -> Inertia:
-    """The nearest body of rigid matter: mass, mass centre and axes stay wherever they can.
+def nearest_consistent_inertia(
+    body: Inertia, min_moment_ratio: float, mass: float, reach: float
+) -> Inertia:
+    """Nearest physically consistent inertia; mass, mass centre and principal axes stay if possible.
 
-    Second moments about the mass centre are the nearest, by the sum of squares of their matrix,
-    of which none is below a least share of the greatest. A body without extent becomes a ball
-    around its mass centre. One without a mass gets one, about its frame's origin.
+    The central second-moment matrix is projected, in the Frobenius norm, onto matrices whose
+    eigenvalues are at least a share of the largest. A point mass becomes a ball around its mass
+    centre. A massless body gets a mass at its frame's origin.
 
     Source    [WKS18] for the condition; the shares are our own choice.
 
     Args:
-        body: Such as a file may have it.
-        thinnest: Least principal second moment, as a share of the greatest.
-        mass: Of a body that has none [kg].
-        reach: A length of the robot, for a point at its frame's origin [m].
+        body: Inertia as read from a file.
+        min_moment_ratio: Least ratio of a principal second moment to the greatest.
+        mass: Mass for a massless body [kg].
+        reach: Length of the robot, for a point mass at its frame's origin [m].
     """
     if body.mass <= 0:
         body = Inertia(mass, np.zeros(3), body.tensor)
     centre, matrix = body.com, np.array(body.pseudo)
     offset = body.mass * np.outer(centre, centre)
-    size, axes = np.linalg.eigh(matrix[:3, :3] - offset)
-    if size[-1] <= ROUNDING * np.abs(matrix[:3, :3]).max():
-        radius = SMALL * (float(np.linalg.norm(centre)) or reach)
-        size = np.full(3, body.mass * radius**2 / 3)
-    raised = np.maximum(size, thinnest * size[-1])
-    matrix[:3, :3] = axes * raised @ axes.T + offset
+    moments, axes = np.linalg.eigh(matrix[:3, :3] - offset)
+    if moments[-1] <= POINT_MASS_TOLERANCE * np.abs(matrix[:3, :3]).max():
+        radius = POINT_MASS_RADIUS_RATIO * (float(np.linalg.norm(centre)) or reach)
+        moments = np.full(3, body.mass * radius**2 / 3)
+    raised_moments = np.maximum(moments, min_moment_ratio * moments[-1])
+    matrix[:3, :3] = axes * raised_moments @ axes.T + offset
     return Inertia.of_pseudo(matrix)
 
 
 def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:
-    """What keeps a link from being a rigid body, in one line; None if nothing does.
+    """Reason why no rigid body has a link's mass and inertia; None if physically consistent.
 
-    A link without any matter (all ten parameters zero) is no flaw: files use such links
-    as frames.
+    A link with ten zero parameters is accepted: files use such links as frames.
 
     Args:
-        link: The link's name, for the message.
-        mass: [kg].
+        link: Link name, for the message.
+        mass: Mass [kg].
         central: Inertia about the mass centre, (3, 3) [kg m^2].
     """
     tensor = np.asarray(central, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Sensors of a rig, each with its errors: plain frozen values, perfect by default."""
+"""Sensors of a rig with their errors: plain frozen values, perfect by default."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from testbed.sensors.sensor_error import FULL_SCALE, SensorError
 
 
 class Sensor(Value):
-    """One of the sensors of a rig."""
+    """Sensor of a rig."""
 
     errors: Sequence[SensorError]
 
@@ -36,10 +36,12 @@ class ForcePlate(Sensor):
 
     Attributes:
         noise: Standard deviations of forces [N] and moments [N m].
-        errors: Further errors in order, as `PlateBias()` or `PlatePose()` (docs/instruments.md).
+        errors: Further errors in order, such as `PlateBias()` or `PlatePose()`
+            (docs/instruments.md).
         full_scale: Largest magnitudes of Fx, Fy, Fz [N], Mx, My, Mz [N m].
-        model: Name of a plate for sale, as "ati-axia80-m20": noise and range where not given.
-        mounting: Place in the robot; default under it.
+        model: Name of a commercial plate, such as "ati-axia80-m20", for noise and range that are
+            not given.
+        mounting: Position of a force sensor in the robot; None for the plate under it.
     """
 
     noise: tuple[float, float] = (0.0, 0.0)
@@ -68,12 +70,12 @@ class ForcePlate(Sensor):
 
 @dataclass(frozen=True)
 class JointTorques(Sensor):
-    """Motor torques as the drives report them, (M, n) [N m or N]; perfect by default.
+    """Motor torques as reported by the drives, (M, n) [N m or N]; perfect by default.
 
     Attributes:
         noise: Standard deviation [N m or N].
-        gains: Reported over true torque by joint, as {"waist": 1.08}; 1 for all others.
-        errors: Further errors in order, as `TorqueOffset()` (docs/instruments.md).
+        gains: Reported over true torque by joint, such as {"waist": 1.08}; 1 for all others.
+        errors: Further errors in order, such as `TorqueOffset()` (docs/instruments.md).
     """
 
     noise: float = 0.0
@@ -92,10 +94,10 @@ class Encoders(Sensor):
     """Joint positions, (M, n) [rad or m]; perfect by default.
 
     Attributes:
-        resolution: Least count; 0 for none [rad or m].
+        resolution: Smallest count; 0 for none [rad or m].
         noise: Standard deviation [rad or m].
         kinematics: Measure velocities and accelerations exactly, too.
-        errors: Further errors in order, as `EncoderEccentricity()` (docs/instruments.md).
+        errors: Further errors in order, such as `EncoderEccentricity()` (docs/instruments.md).
     """
 
     resolution: float = 0.0
@@ -113,26 +115,30 @@ class Encoders(Sensor):
         }
 
 
-def sensors_of(how: Instrument) -> tuple[Sensor, ...]:
-    """Sensors as the table [measurement] has them.
+def sensors_of(instrument: Instrument) -> tuple[Sensor, ...]:
+    """Encoders, joint torques and force plate of the table [measurement].
 
     Args:
-        how: The table.
+        instrument: The table.
     """
     signals = ("position", "torque", "wrench", "tare")
-    errors = {s: [fault for fault in how.fault if fault.signal == s] for s in signals}
-    gains = {joint: 1 + error for joint, error in how.torque_constant_error.items()}
+    errors = {
+        s: [fault for fault in instrument.fault if fault.signal == s] for s in signals
+    }
+    gains = {
+        joint: 1 + error for joint, error in instrument.torque_constant_error.items()
+    }
     return (
         Encoders(
-            how.encoder_resolution,
-            how.encoder_noise,
-            how.senses_kinematics,
+            instrument.encoder_resolution,
+            instrument.encoder_noise,
+            instrument.senses_kinematics,
             errors["position"],
         ),
-        JointTorques(how.torque_noise, gains, errors["torque"]),
+        JointTorques(instrument.torque_noise, gains, errors["torque"]),
         ForcePlate(
-            (how.force_noise, how.moment_noise),
+            (instrument.force_noise, instrument.moment_noise),
             errors["wrench"] + errors["tare"],
-            how.full_scale,
+            instrument.full_scale,
         ),
     )

@@ -1,4 +1,4 @@
-"""Validate an estimate on a recording that it has not seen."""
+"""Validation of an estimate on another recording."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from testbed.core.recordings.recording import Recording
 def validate(
     estimate: Estimate, data: Recording | str | Path, settings: Settings | None = None
 ) -> Validation:
-    """What an estimate leaves of a recording that it has not seen.
+    """Validate an estimate on a recording that was not used for it.
 
     Args:
-        estimate: Of `identify`.
+        estimate: Estimate of `identify`.
         data: Another recording of the same robot and sensors.
-        settings: How its signals are treated; default as those of the estimate.
+        settings: Filters of its signals; default those of the estimate.
+
+    Returns:
+        Residuals of the recording channel by channel, and their expected size.
 
     Raises:
         RecordingError: The recording cannot be used for the estimate's signal.

@@ -13,7 +13,7 @@ from testbed.sensors.sensor_error import NoiseError, Signal
 
 @dataclass(frozen=True)
 class EncoderNoise(NoiseError):
-    """White noise on positions, besides that of `measurement.encoder_noise`.
+    """White noise on positions, in addition to `measurement.encoder_noise`.
 
     Source    Interpolation noise of encoders of the 16-bit class.
 

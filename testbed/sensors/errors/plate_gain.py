@@ -1,4 +1,4 @@
-"""Wrong gains of the plate."""
+"""Gain errors of the plate."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import SIGN, PerChannel
+from testbed.sensors.kind_table import RANDOM_SIGN, PerChannel
 from testbed.sensors.sensor_error import StageOrder
 from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
 
 
 @dataclass(frozen=True)
 class PlateGain(PlateError):
-    """Channels on wrong scales.
+    """Gain errors of the plate's channels.
 
     Source    Accuracy of force plates and six-axis sensors in data sheets: 0.5 %.
 
     Attributes:
-        error: Relative; 0.005 shows 0.5 % too much.
+        error: Relative error; 0.005 reads 0.5 % too much.
     """
 
     kind: ClassVar[str] = "plate_gain"
@@ -26,7 +26,7 @@ class PlateGain(PlateError):
     term: ClassVar[str] = "gains"
     fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("gains", [""] * 6)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
-    error: Annotated[PerChannel, SIGN] = 0.005
+    error: Annotated[PerChannel, RANDOM_SIGN] = 0.005
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Constant of the plate beyond its tare."""
+"""Constant error of the plate's tare."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from testbed.sensors.systematic_error import Coefficient, of_channels
 
 @dataclass(frozen=True)
 class PlateTare(PlateBias):
-    """A constant wrench beyond the stated tare, of all recordings with the pedestal.
+    """Constant wrench in addition to the stated tare, in all recordings with the pedestal.
 
     To a plate that does not move it is the same as a bias.
 
     Source    Our own choice: as much as the bias.
 
     Attributes:
-        force: What the forces show too much [N].
-        moment: What the moments show too much [N m].
+        force: Additional force [N].
+        moment: Additional moment [N m].
     """
 
     kind: ClassVar[str] = "plate_tare"
@@ -30,6 +30,6 @@ class PlateTare(PlateBias):
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
-        """Constants of the channels, (6,)."""
+        """Constants of the plate's channels, (6,)."""
         del tree
         return cls.fixed

@@ -1,4 +1,4 @@
-"""What residuals show: offsets, and noise of the encoders."""
+"""Diagnostics of noise in the residuals: offset, drift, encoder noise and resolution."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import few
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import shortened_list
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.noise_model import NoiseModel
 
-SMALL_CHANCE = 1e-3
-"""Probability below which what is found is not taken for chance."""
+SIGNIFICANCE_LEVEL = 1e-3
+"""Probability below which an offset is not taken for chance."""
 
 
-def noisy(estimate: Estimate) -> bool:
-    """Whether residuals are more than what the filter on positions takes from the motion.
+def has_residual_noise(estimate: Estimate) -> bool:
+    """True if residuals exceed the attenuation of a noise-free motion by the low-pass filters.
 
     Args:
-        estimate: Of either method.
+        estimate: Estimate by either method.
     """
     rms = estimate.normal_equations.rms
     # part of the largest signal that the filters may leave of a perfect recording
@@ -27,27 +27,29 @@ def noisy(estimate: Estimate) -> bool:
 
 
 def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """What offsets, slow noise and noise of the encoders do to an estimate.
+    """Diagnostics of encoder noise, encoder resolution, and offset or drift of the plate.
 
     Args:
-        estimate: With what its noise is like.
+        estimate: Estimate with its noise model.
     """
     noise = estimate.noise
     if noise is None:
         return
     if noise.noise_limited:
-        yield diagnose(
-            "encoder.noise", few(noise.noise_limited), method=estimate.method
+        yield make_diagnostic(
+            "encoder.noise", shortened_list(noise.noise_limited), method=estimate.method
         )
     if noise.steps_matter:
         steps = zip(estimate.joints, noise.least_counts, strict=True)
-        coarse = few(
+        coarse = shortened_list(
             [f"'{name}' ({count:.3g} a step)" for name, count in steps if count]
         )
         share = min(noise.by_counts, 1.0)
-        yield diagnose("encoder.resolution", coarse, share, method=estimate.method)
+        yield make_diagnostic(
+            "encoder.resolution", coarse, share, method=estimate.method
+        )
     hidden, verb = ", ".join(noise.hidden), "is" if len(noise.hidden) == 1 else "are"
-    if noise.bias_chance <= SMALL_CHANCE:
+    if noise.bias_chance <= SIGNIFICANCE_LEVEL:
         constants = zip(
             estimate.channels,
             estimate.channel_units,
@@ -55,10 +57,10 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
             noise.bias_sigma,
             strict=True,
         )
-        yield diagnose(
+        yield make_diagnostic(
             "plate.offset",
             "the plate",
-            method="external",
+            method="wrench",
             constants=", ".join(
                 f"{channel} {value:.3g} +- {sigma:.2g} {unit}"
                 for channel, unit, value, sigma in constants
@@ -67,41 +69,45 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
             hidden=hidden,
             verb=verb,
         )
-    elif any(_slow(noise)) and noise.hidden:
-        memories = zip(estimate.channels, noise.memory, _slow(noise), strict=True)
-        slow = ", ".join(
-            f"{channel} ({time:.2g} s)"
-            for channel, time, is_slow in memories
-            if is_slow
+    elif any(_drifting_channels(noise)) and noise.hidden:
+        memories = zip(
+            estimate.channels, noise.memory, _drifting_channels(noise), strict=True
         )
-        yield diagnose(
+        drifting = ", ".join(
+            f"{channel} ({time:.2g} s)"
+            for channel, time, is_drifting in memories
+            if is_drifting
+        )
+        yield make_diagnostic(
             "plate.drift",
             "the plate",
-            method="external",
-            channels=slow,
+            method="wrench",
+            channels=drifting,
             hidden=hidden,
             verb=verb,
         )
 
 
-def zero_unknown(noise: NoiseModel | None) -> tuple[str, ...]:
-    """Parameters that are not identifiable beside the plate's zero, where that is off or drifts.
+def unidentifiable_beside_bias(noise: NoiseModel | None) -> tuple[str, ...]:
+    """Parameters that are not identifiable beside a significant offset or drift of the plate.
 
     Args:
-        noise: What the residuals are like.
+        noise: Noise model of the residuals; None for white noise.
     """
     if noise is None:
         return ()
-    known = noise.bias_chance > SMALL_CHANCE and not any(_slow(noise))
+    known = noise.bias_chance > SIGNIFICANCE_LEVEL and not any(
+        _drifting_channels(noise)
+    )
     return () if known else noise.hidden
 
 
 def chance_text(chance: float) -> str:
-    """A probability as a person reads it."""
+    """Text of a probability, such as "chance 1e-05"."""
     return f"chance {chance:.0e}" if chance > 1e-99 else "chance below 1e-99"
 
 
-def _slow(noise: NoiseModel) -> list[bool]:
-    """Of each channel, whether it wanders so slowly that its constant rests on nothing."""
-    # part of a recording over which the noise of a channel is correlated, and is a drift
+def _drifting_channels(noise: NoiseModel) -> list[bool]:
+    """True for each channel whose noise is correlated over much of the recording."""
+    # correlation time relative to the recording, above which noise is a drift
     return [memory > 0.5 * noise.span for memory in noise.memory]

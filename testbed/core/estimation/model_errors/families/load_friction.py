@@ -18,6 +18,6 @@ class FrictionByLoad(JointFamily):
     remedy = "let held-out data choose the terms: --terms auto"
     is_term = True
 
-    def torques(self, at: Linearization) -> Array:
-        """Magnitudes of the bodies' torques with the sense of the motion, (m, n, 1) [N m or N]."""
-        return 0.1 * (np.abs(at.forces.torque) * at.sense)[..., None]
+    def torques(self, point: Linearization) -> Array:
+        """Magnitude of the bodies' torque times the sign of the velocity, (m, n, 1) [N m or N]."""
+        return 0.1 * (np.abs(point.forces.torque) * point.smooth_sign)[..., None]
