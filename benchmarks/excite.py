@@ -71,7 +71,7 @@ def allowed(problem: DesignProblem, count: int) -> list[Fourier]:
         motion = random_motion(rules.tree, rules.limits, 0.1, 5, rng)
         smaller = (motion.scaled(float(share), motion.offset) for share in SHARES)
         good = (
-            m for m in smaller if respects_limits_at_samples(m, rules) and prove(m, rules).holds
+            m for m in smaller if respects_limits_at_samples(m, rules) and prove(m, rules).is_valid
         )
         kept = next(good, None)
         found += [] if kept is None else [kept]

@@ -128,14 +128,14 @@ class Tally:
             self.compare(name, tree, minimal)
         for laws in (("rotor",), JOINT_LAWS):
             drives = verify_drive_set(tree, with_joint_terms(tree, dynamic, laws))
-            self.count(f"{name}: {drives}", drives.holds)
+            self.count(f"{name}: {drives}", drives.agrees)
             self.largest("drives_change", drives.change)
 
     def compare(self, name: str, tree: Tree, minimal: MinimalSet) -> None:
         """One set by all witnesses."""
         found = verify_minimal_set(tree, minimal)
         alone = not minimal.lift[minimal.known_zero.ravel()].any()
-        self.count(f"{name}: {found}", found.holds and alone)
+        self.count(f"{name}: {found}", found.agrees and alone)
         for field_name in ("recursion_distance", "sampled_distance", "change", "inverse"):
             self.largest(field_name, getattr(found, field_name))
 

@@ -99,7 +99,7 @@ def barycentric_parameters(estimate: Estimate, others: Array | None = None) -> A
     reference = np.zeros(matrix.shape[1]) if others is None else others.ravel()
     residual = estimate.base.values - matrix @ reference
     theta: Array = reference + np.linalg.lstsq(matrix, residual, rcond=None)[0]
-    return estimate.minimal.carried(theta).reshape(-1, 10)
+    return estimate.minimal.with_carried_mass(theta).reshape(-1, 10)
 
 
 def predicted_signals(
@@ -197,7 +197,7 @@ def prediction_variances(
     root = matrix_square_root(_covariance_without_correction(estimate))
     body_roots, term_roots = np.split(root, [estimate.minimal.count])
     lift = np.linalg.pinv(estimate.minimal.matrix) @ body_roots
-    theta = estimate.minimal.carried(lift).reshape(tree.n, 10, -1)
+    theta = estimate.minimal.with_carried_mass(lift).reshape(tree.n, 10, -1)
     blocks = []
     for first in range(0, motion.samples, BLOCK_SAMPLES):
         part = motion[first : first + BLOCK_SAMPLES]
@@ -307,7 +307,7 @@ class Validation(Diagnosed, Summarized):
             "rms residual",
             "unit",
             "of the signal",
-            "over allowed",
+            "over expected_error",
             "in band",
         )
         warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
@@ -319,14 +319,14 @@ class Validation(Diagnosed, Summarized):
         return _quotient(self.residual, self.signal)
 
     @property
-    def allowed(self) -> Array:
+    def expected_error(self) -> Array:
         """Rms error expected from noise and parameter covariance together, (C,) [N, N m]."""
         return np.hypot(self.noise, self.spread)
 
     @property
     def ratio(self) -> Array:
         """Error over expected error, (C,): about one or less for a valid estimate."""
-        return _quotient(self.error, self.allowed)
+        return _quotient(self.error, self.expected_error)
 
     @property
     def error(self) -> Array:
@@ -351,7 +351,7 @@ class Validation(Diagnosed, Summarized):
             worse = [
                 d
                 for rival in (LEAST_SQUARES, REFITTED)
-                for d in self.errors.worse(self.held, rival)
+                for d in self.errors.worse_channels(self.held, rival)
             ]
         return (*worse, *_diagnostics(self))
 
@@ -475,7 +475,9 @@ def _validation(
 def _diagnostics(validation: Validation) -> Iterator[Diagnostic]:
     """Diagnostics of channels whose error exceeds the expected error considerably."""
     # never true where the zero offset is unknown
-    is_constant = _quotient(validation.scatter, validation.allowed) <= MAX_ERROR_RATIO
+    is_constant = (
+        _quotient(validation.scatter, validation.expected_error) <= MAX_ERROR_RATIO
+    )
     for c, (name, ratio) in enumerate(
         zip(validation.channels, validation.ratio, strict=True)
     ):
@@ -488,7 +490,7 @@ def _diagnostics(validation: Validation) -> Iterator[Diagnostic]:
                 float(ratio),
                 method=validation.method,
                 residual=validation.residual[c],
-                allowed=validation.allowed[c],
+                expected_error=validation.expected_error[c],
                 mean=validation.mean[c],
                 unit=validation.units[c],
             )

@@ -122,7 +122,7 @@ class Posterior(EstimateSummary):
         pairs = zip(self.names[: self.count], self.alone[: self.count], strict=True)
         return tuple(name for name, is_determined in pairs if is_determined)
 
-    def worse(self, reported: str) -> tuple[Diagnostic, ...]:
+    def worse_channels(self, reported: str) -> tuple[Diagnostic, ...]:
         """Diagnostics of held-out channels that the model file or least squares predict better.
 
         Args:
@@ -134,7 +134,10 @@ class Posterior(EstimateSummary):
             (CONSISTENT, REFITTED),
         )
         return tuple(
-            d for name, than in pairs for e in self.errors for d in e.worse(name, than)
+            d
+            for name, than in pairs
+            for e in self.errors
+            for d in e.worse_channels(name, than)
         )
 
 

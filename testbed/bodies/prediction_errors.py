@@ -62,14 +62,14 @@ class PredictionErrors:
     residual: Mapping[str, Array]
     chance: Mapping[str, Mapping[str, Array]]
 
-    __get_pydantic_core_schema__ = schema_with_properties("best")
+    __get_pydantic_core_schema__ = schema_with_properties("best_method")
 
     @property
-    def best(self) -> str:
+    def best_method(self) -> str:
         """Name of the prediction with the least error over all channels."""
         return min(self.residual, key=self.over_file)
 
-    def beside(self, other: PredictionErrors) -> PredictionErrors:
+    def merged_with(self, other: PredictionErrors) -> PredictionErrors:
         """Prediction errors merged with the errors of other predictions of the same data.
 
         Args:
@@ -100,7 +100,7 @@ class PredictionErrors:
         file = np.maximum(self.residual[REFITTED], SMALLEST_POSITIVE)
         return float(np.sqrt(np.nanmean((self.residual[which] / file) ** 2)))
 
-    def worse(self, which: str, than: str = REFITTED) -> Iterator[Diagnostic]:
+    def worse_channels(self, which: str, than: str = REFITTED) -> Iterator[Diagnostic]:
         """Diagnostics of channels that one prediction predicts significantly worse than another.
 
         Args:
@@ -133,7 +133,7 @@ class PredictionErrors:
                 residual=residual[c],
                 least=rival_residual[c],
                 unit=self.units[c],
-                best=cause_phrase(self.best),
+                best=cause_phrase(self.best_method),
             )
 
 

@@ -124,7 +124,7 @@ def _prediction_line(instrument: str, share: Array, of: str) -> Diagnostic:
 
 def _reservations(estimate: Posterior, reported: str) -> Iterator[Diagnostic]:
     """Diagnostics of better rivals, poor predictions, episodes and an uninformative file."""
-    yield from estimate.worse(reported)
+    yield from estimate.worse_channels(reported)
     method, held_out = estimate.method, estimate.errors[0]
     residual, signal, units = (
         held_out.residual[reported],

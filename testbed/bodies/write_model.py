@@ -295,7 +295,7 @@ def distribute_inertias(
                 else total_inertia(parts[link.name] for link in group)
             )
             inertias |= {link.name: ZERO_INERTIA for link in group}
-            inertias[group[0].name] = lump.moved(group[0].X_BL.inverse)
+            inertias[group[0].name] = lump.transformed(group[0].X_BL.inverse)
     massless = {link.name for link in links if not link.inertia.pseudo.any()}
     written = {
         k: inertia

@@ -105,7 +105,7 @@ def cells_figure(cells: Sequence[CellSummary]) -> Section:
     return Section(
         id="cells",
         title="Errors and coverage",
-        says=(
+        explanation=(
             "Error: rms relative error of the parameters, median over the runs of a cell. "
             "Coverage: share of the 95 % confidence intervals that contain the truth, and its "
             "own 95 % confidence interval for this number of runs."

@@ -225,4 +225,4 @@ def _print_motion_proof(
         )
         output.print_diagnostics(output.console(), diagnostics)
         print_limit_margins(output.console(), proof, everything=everything)
-    raise typer.Exit(0 if proof.holds else 1)
+    raise typer.Exit(0 if proof.is_valid else 1)

@@ -296,7 +296,7 @@ def _time_offset_lines(report: CheckReport, correction: str) -> Iterator[str]:
     """
     for each in report.offsets:
         yield each.diagnostic().text + (
-            correction if each.matters else ", not significant"
+            correction if each.is_significant else ", not significant"
         )
 
 

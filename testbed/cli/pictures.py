@@ -171,10 +171,10 @@ def _write_motion_view(
         proven_motion.proof,
         [*tree.diagnostics, *appearance.diagnostics, *proven_motion.rules.diagnostics],
     )
-    if proof.holds:
+    if proof.is_valid:
         return diagnostics
     return [
-        make_diagnostic("motion.not-proven", reason=proof.worst.words),
+        make_diagnostic("motion.not-proven", reason=proof.smallest_margin.words),
         *diagnostics,
     ]
 

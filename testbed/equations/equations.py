@@ -179,7 +179,7 @@ class EquationKind:
         model: Signal whose minimal parameters are used, "torque" or "wrench".
         takes: Joint coordinates of the equations, of q, qp, qpp.
         results: Regular expression of the names of the results.
-        says: Description with units, for comments.
+        description: Description with units, for comments.
         letter: First letter of the results' names: Q, G, or M for the mass matrix.
         is_regressor: True if the result has a column per parameter and contains no parameter.
     """
@@ -189,7 +189,7 @@ class EquationKind:
     model: Signal
     takes: tuple[str, ...]
     results: str
-    says: str
+    description: str
     letter: str = "Q"
     is_regressor: bool = False
 

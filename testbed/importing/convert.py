@@ -168,7 +168,12 @@ def import_recording(path: str | Path) -> Recording:
 def joined_recording(
     recordings: Sequence[Recording], cuts: Sequence[Diagnostic]
 ) -> Recording:
-    """Join the recordings of a mapping file, cut at `cuts`, with the metadata of the longest."""
+    """Join recordings of a mapping file; metadata of the longest.
+
+    Args:
+        recordings: Recordings in the order of time.
+        cuts: Diagnostics of the gaps between them; empty for one recording.
+    """
     if not cuts:
         return recordings[0]
     longest = max(recordings, key=lambda each: each.samples)

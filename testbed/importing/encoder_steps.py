@@ -8,7 +8,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
-from testbed.core.recordings.channels import signal_steps
+from testbed.core.recordings.channel_tests import signal_steps
 from testbed.importing.foreign_table import ANGLE_UNITS, canonical_unit, unit_size
 from testbed.importing.mapping import SignalTable
 

@@ -37,12 +37,11 @@ from testbed.importing.likely_signals import (
     PER_CENT_RANGE,
     VELOCITY_EVIDENCE,
     LikelySignal,
-    LikelySource,
     find_plates,
     find_signals,
-    find_sources,
     signal_values,
 )
+from testbed.importing.likely_sources import LikelySource, find_sources
 
 MAX_LISTED_COLUMNS = 100
 """Largest number of columns of a source that are listed."""

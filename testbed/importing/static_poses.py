@@ -25,10 +25,10 @@ from testbed.importing.likely_clock import find_clock
 from testbed.importing.likely_signals import (
     SIZE_EVIDENCE,
     LikelySignal,
-    LikelySource,
     find_plates,
     find_signals,
 )
+from testbed.importing.likely_sources import LikelySource
 from testbed.importing.readers import open_foreign_table
 
 MIN_ROWS = 4

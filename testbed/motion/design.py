@@ -287,8 +287,8 @@ def _first_proven(
     for motion, share in product(motions, PROOF_SHARES):
         scaled = motion.scaled(share, motion.offset)
         proof = prove(scaled, rules)
-        if proof.holds:
+        if proof.is_valid:
             return scaled, proof
     raise NoFeasibleMotion(
-        f"a motion was found, but not proven between its samples: {proof.worst.words}"
+        f"a motion was found, but not proven between its samples: {proof.smallest_margin.words}"
     )

@@ -53,7 +53,7 @@ class Fourier(Value):
         return np.hstack([self.offset[:, None], self.sine, self.cosine])
 
     @staticmethod
-    def of(fundamental: float, coefficients: Array) -> Fourier:
+    def from_coefficients(fundamental: float, coefficients: Array) -> Fourier:
         """Build the motion from an array of coefficients.
 
         Args:

@@ -104,7 +104,9 @@ class MotionFile:
                 f"{', '.join(tree.names)}{hint}"
             )
         order = [self.names.index(name) for name in tree.names]
-        return Fourier.of(self.motion.fundamental, self.motion.coefficients[order])
+        return Fourier.from_coefficients(
+            self.motion.fundamental, self.motion.coefficients[order]
+        )
 
 
 def read_motion(path: Path) -> MotionFile:
@@ -134,7 +136,7 @@ def read_motion(path: Path) -> MotionFile:
     return MotionFile(
         path=path,
         model=(path.parent / tables.model).resolve(),
-        motion=Fourier.of(tables.fundamental, np.array(rows)),
+        motion=Fourier.from_coefficients(tables.fundamental, np.array(rows)),
         names=tuple(tables.joint),
     )
 

@@ -302,7 +302,7 @@ class Series:
     def motion(self, x: Array) -> Fourier:
         """Fourier series of a vector of unknowns, (n p,)."""
         coefficients = self.units * x.reshape(self.joints, self.width)
-        return Fourier.of(self.fundamental, coefficients)
+        return Fourier.from_coefficients(self.fundamental, coefficients)
 
     def unknowns(self, motion: Fourier) -> Array:
         """Vector of unknowns of a Fourier series with the same frequencies, (n p,)."""

@@ -86,7 +86,7 @@ class Margin:
     unit: str = ""
 
     @property
-    def holds(self) -> bool:
+    def is_respected(self) -> bool:
         """True if the limit is respected at every instant."""
         return self.left >= 0
 
@@ -98,7 +98,7 @@ class Margin:
         )
         state = (
             f"{size} left"
-            if self.holds
+            if self.is_respected
             else f"exceeded by {size} or more, or not shown to be kept"
         )
         return f"{self.label}: {state} at t = {self.instant:.3f} s"
@@ -118,12 +118,12 @@ class Proof:
     instants: int
     postures: int
 
-    __get_pydantic_core_schema__ = schema_with_properties("holds", "binding")
+    __get_pydantic_core_schema__ = schema_with_properties("is_valid", "binding")
 
     @property
-    def holds(self) -> bool:
+    def is_valid(self) -> bool:
         """True if the motion respects all limits at every instant."""
-        return all(margin.holds for margin in self.margins)
+        return all(margin.is_respected for margin in self.margins)
 
     @property
     def binding(self) -> tuple[str, ...]:
@@ -136,7 +136,7 @@ class Proof:
         )
 
     @property
-    def worst(self) -> Margin:
+    def smallest_margin(self) -> Margin:
         """Smallest margin."""
         return min(self.margins, key=lambda margin: margin.left)
 

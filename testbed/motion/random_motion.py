@@ -259,13 +259,17 @@ def best_random_motion(
             if not respects_limits_at_samples(motion, rules):
                 continue
             proof = prove(motion, rules)
-            if proof.holds:
+            if proof.is_valid:
                 is_unscaled = share == 1
                 return motion, scores[k] if is_unscaled else relative_sigma(
                     tree, motion, minimal, noise
                 )
             last_proof = proof
-    note = "" if last_proof is None else f" (the last one: {last_proof.worst.words})"
+    note = (
+        ""
+        if last_proof is None
+        else f" (the last one: {last_proof.smallest_margin.words})"
+    )
     raise NoFeasibleMotion(
         f"none of {candidates + EXTRA_CANDIDATES * MAX_EXTRA_BATCHES} random motions keeps "
         "clear of the robot itself and "
@@ -299,7 +303,7 @@ def equally_fast_motion(
     """
     for share, _ in product(SPEED_SHARES, range(TRIALS_PER_SHARE)):
         other = motion.rephased(rng).scaled(share, motion.offset)
-        if respects_limits_at_samples(other, rules) and prove(other, rules).holds:
+        if respects_limits_at_samples(other, rules) and prove(other, rules).is_valid:
             return other
     raise NoFeasibleMotion(
         "no other motion that is half as fast as it respects all limits"

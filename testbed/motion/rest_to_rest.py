@@ -193,7 +193,7 @@ def shortest_start(
                 *force_margins(direction, rules)[0],
             )
         ]
-        if all(margin.holds for margin in margins):
+        if all(margin.is_respected for margin in margins):
             return start, margins
         duration *= 2
         if duration > MAX_START_SECONDS:

@@ -47,7 +47,7 @@ def consistent_tables(consistent: Consistent) -> list[Table]:
     numbers = numbers_with_sigma(
         consistent.coefficients, consistent.coefficient_sigma, short=True
     )
-    joint_terms = Table.of({"joint's own": names, "estimate": numbers})
+    joint_terms = Table.from_columns({"joint's own": names, "estimate": numbers})
     return [*tables, joint_terms] if names else tables
 
 
@@ -154,7 +154,7 @@ def bodies_section(consistent: Consistent) -> Section:
     return Section(
         id="bodies",
         title="Physically consistent bodies",
-        says=" ".join(consistent_lines(consistent)),
+        explanation=" ".join(consistent_lines(consistent)),
         caption=(
             "Data is the share of the prior variance that the data remove, averaged over a link's "
             "ten parameters. The viewer draws each link as an ellipsoid of uniform density."

@@ -155,7 +155,7 @@ def drive_section(drives: DriveIdentification) -> Section:
     return Section(
         id="drives",
         title=DRIVES_TITLE,
-        says=(
+        explanation=(
             "The force plate's estimate gives the rigid-body torque. The ratio of the reported "
             "torque to it is the torque constant (1 if the data sheet is right); the rest is "
             "friction."

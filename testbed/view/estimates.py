@@ -235,7 +235,7 @@ def payload_table(payload: PayloadEstimate, title: str = "") -> Table:
     title = (
         title or f"payload on the link of {payload.joint}, about and along its frame"
     )
-    return Table.of(columns, title, left=["unit"])
+    return Table.from_columns(columns, title, left=["unit"])
 
 
 def torque_scales_table(scales: TorqueScales) -> Table:
@@ -246,7 +246,7 @@ def torque_scales_table(scales: TorqueScales) -> Table:
     """
     numbers = numbers_with_sigma(scales.values, scales.sigma)
     columns = {"joint": scales.names, "reported over true torque": numbers}
-    return Table.of(columns, "divide torques, or gains, by")
+    return Table.from_columns(columns, "divide torques, or gains, by")
 
 
 def payload_lines(payload: PayloadEstimate) -> list[str]:
@@ -354,7 +354,7 @@ def _estimate_tables(estimate: Estimate) -> Iterator[Table]:
                 [channel, f"{rms:.2g} {unit}", f"{share:.0%}"]
                 for channel, rms, unit, share in columns
             ],
-            f"Part of the residuals that repeats with the motion {repeatable.again}: "
+            f"Part of the residuals that repeats with the motion {repeatable.repetition_text}: "
             f"chance {_probability_text(repeatable.chance)} if it were noise",
         )
 

@@ -87,7 +87,7 @@ def _wrench_section(wrench_fit: WrenchFit, anchor: str, origin: str) -> Section:
     return Section(
         id=anchor,
         title=f"The plate {origin}",
-        says=(
+        explanation=(
             "The six channels and their best fit by any parameters of the robot. They agree if "
             "the mapping is right."
         ),

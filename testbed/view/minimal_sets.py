@@ -78,7 +78,7 @@ class IdentifiabilityReport:
     @property
     def all_agree(self) -> bool:
         """True if all comparisons with independent methods agree."""
-        return all(each.holds for each in self.agreements)
+        return all(each.agrees for each in self.agreements)
 
     def formulas(
         self, minimal: MinimalSet, lengths: LengthNotation
@@ -118,7 +118,9 @@ def print_sets(
     for line in _agreement_lines(report):
         console.print(line)
     names = parameter_names(report.tree)[10 * report.tree.massless :]
-    never_identifiable = set.intersection(*(set(each.never) for each in report.sets))
+    never_identifiable = set.intersection(
+        *(set(each.unidentifiable) for each in report.sets)
+    )
     if unidentifiable := [name for name in names if name in never_identifiable]:
         console.print(
             f"not identifiable, not even in combination: {', '.join(unidentifiable)}"
@@ -292,7 +294,7 @@ def _summary_sentence(report: IdentifiabilityReport) -> str:
 def _agreement_lines(report: IdentifiabilityReport) -> Iterator[str]:
     """Lines on the comparisons of the minimal sets with independent methods."""
     for each in report.agreements:
-        agree = "agree" if each.holds else "DISAGREE"
+        agree = "agree" if each.agrees else "DISAGREE"
         change = f"regrouping changes the model by {each.change:.0e}"
         if isinstance(each, Agreement):
             yield (
@@ -329,7 +331,7 @@ def minimal_sets_document(
         **{each.model: _set_document(report.tree, each, matrices) for each in sets},
         "map": [_instrument_document(report.tree, each) for each in report.seen],
         "verified": [
-            asdict(each) | {"holds": each.holds} for each in report.agreements
+            asdict(each) | {"agrees": each.agrees} for each in report.agreements
         ],
     }
     if matrices and len(sets) > 1:
@@ -351,7 +353,7 @@ def _set_document(tree: Tree, minimal: MinimalSet, matrices: bool) -> dict[str, 
         "formulas": [str(formula) for formula in minimal.formulas],
         "auxiliary": [str(formula) for formula in minimal.auxiliary],
         "reasons": [f"{number}: {RULE_REASONS[number]}" for number in minimal.reasons],
-        "never": list(minimal.never),
+        "unidentifiable": list(minimal.unidentifiable),
         "latex": [formula.latex() for formula in minimal.formulas],
         "tared": minimal.tared,
         "known_zero": [

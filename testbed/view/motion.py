@@ -91,7 +91,7 @@ def predicted_sigma_table(excitation: Excitation, rows: Sequence[int]) -> Table:
         columns["random\nmotion"] = [
             f"{share:.3%}" if np.isfinite(share) else "-" for share in random
         ]
-    return Table.of(columns)
+    return Table.from_columns(columns)
 
 
 def margin_table(margins: Iterable[Margin]) -> Table:
@@ -100,7 +100,9 @@ def margin_table(margins: Iterable[Margin]) -> Table:
     Args:
         margins: Margins to the limits.
     """
-    sorted_margins = sorted(margins, key=lambda margin: (margin.holds, margin.left))
+    sorted_margins = sorted(
+        margins, key=lambda margin: (margin.is_respected, margin.left)
+    )
     rows = [
         [margin.label, _margin_text(margin), f"{margin.instant:.3f}"]
         for margin in sorted_margins
@@ -123,11 +125,11 @@ def print_limit_margins(
     print_tables(console, [Table(table.heads, table.rows[:row_count])])
     if row_count < count:
         console.print(f"({count - row_count} more limits with larger margins: --all)")
-    if not proof.holds:
-        failed = sum(not margin.holds for margin in proof.margins)
-        console.print(
-            f"NOT proven: {failed} of {count_with_noun(count, 'limit')}; {proof.worst.words}"
-        )
+    if not proof.is_valid:
+        failed = sum(not margin.is_respected for margin in proof.margins)
+        limits = count_with_noun(count, "limit")
+        smallest = proof.smallest_margin.words
+        console.print(f"NOT proven: {failed} of {limits}; {smallest}")
         return
     binding_count = len(proof.binding)
     console.print(
@@ -171,10 +173,10 @@ def motion_contents(excitation: Excitation) -> dict[str, Any]:
             f"{excitation.beside_random}.",
             *(f"Warning: {line}." for line in sentences(excitation.diagnostics)),
         ],
-        "holds": proof.holds,
+        "is_valid": proof.is_valid,
         "verdict": f"all {count_with_noun(len(proof.margins), 'limit')} proven at every moment"
-        if proof.holds
-        else f"not proven: {proof.worst.words}",
+        if proof.is_valid
+        else f"not proven: {proof.smallest_margin.words}",
         "figures": [
             _sigma_section(excitation),
             _motion_section(excitation),
@@ -192,7 +194,7 @@ def _sigma_section(excitation: Excitation) -> Section:
     return Section(
         id="sigma",
         title="Predicted standard deviations",
-        says=(
+        explanation=(
             "Standard deviation of each parameter for white noise of this instrument, predicted "
             "for this motion and for the best random one."
         ),
@@ -246,7 +248,7 @@ def _motion_section(excitation: Excitation) -> Section:
     return Section(
         id="motion",
         title="Motion",
-        says="One period, joint by joint; it repeats as often as the recording lasts.",
+        explanation="One period, joint by joint; it repeats as often as the recording lasts.",
         panels=panels,
         shown=VISIBLE_JOINTS,
         table=Table(
@@ -277,7 +279,7 @@ def _limit_section(excitation: Excitation) -> Section:
     return Section(
         id="limits",
         title="Margins to limits",
-        says=(
+        explanation=(
             "Smallest margin to the limits of each kind over time. The table lists margins that "
             "are proven for every instant, between the samples too."
         ),

@@ -154,7 +154,7 @@ def parameter_error_section(run: Run) -> Section | None:
         title="Parameter errors"
         if truth_known
         else "Standard deviations of the parameters",
-        says=(
+        explanation=(
             "Errors against the truth (dots) and estimated standard deviations (bars). A dot "
             "far outside its bar is a bias."
             if truth_known

@@ -75,7 +75,7 @@ def prediction_error_table(errors: PredictionErrors) -> Table:
         errors
     )
     title = f"rms error of predictions of {cause_phrase(errors.of)}"
-    return Table.of(columns, title, ["unit"])
+    return Table.from_columns(columns, title, ["unit"])
 
 
 def validation_table(validation: Validation) -> Table:
@@ -100,7 +100,7 @@ def validation_table(validation: Validation) -> Table:
         "ratio": _number_texts(validation.ratio),
         "rows": [str(rows) for rows in validation.rows],
     }
-    return Table.of(
+    return Table.from_columns(
         columns,
         f"{METHOD_LABELS[validation.method]}, cross-validation on another recording"
         + "; * judged: all that follows is about it" * (validation.errors is not None),

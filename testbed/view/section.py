@@ -27,7 +27,7 @@ class Table:
     parts: Sequence[Sequence[int]] = ()
 
     @staticmethod
-    def of(
+    def from_columns(
         columns: Mapping[str, Sequence[str]],
         title: str = "",
         left: Sequence[str] = (),
@@ -73,7 +73,7 @@ class Section:
     Attributes:
         id: Anchor on a page.
         title: Title of the section.
-        says: Explanation of the panels in a few sentences.
+        explanation: Explanation of the panels in a few sentences.
         legend: Labels of the curves, by kind.
         panels: Plots.
         shown: Number of panels that are not folded away; None for all.
@@ -83,7 +83,7 @@ class Section:
 
     id: str
     title: str
-    says: str
+    explanation: str
     legend: Mapping[str, str] = field(default_factory=dict)
     panels: Sequence[Panel] = ()
     shown: int | None = None

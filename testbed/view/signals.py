@@ -93,7 +93,7 @@ def _prediction_section(predictions: Predictions, smooth: Predictions) -> Sectio
     return Section(
         id="prediction",
         title=f"Measured and predicted, on {motion}",
-        says=" ".join(explanation),
+        explanation=" ".join(explanation),
         legend={"measured": "measured"} | names,
         panels=[_signal_panel(smooth, each) for each in smooth.channels],
         shown=VISIBLE_CHANNELS,
@@ -217,7 +217,7 @@ def _spectrum_section(predictions: Predictions) -> Section:
     return Section(
         id="spectra",
         title="Residual spectra",
-        says=(
+        explanation=(
             "Amplitude spectral density of the residuals. White sensor noise is flat; encoder "
             "noise rises up to the cutoff of the position filter. Peaks at the frequencies of the "
             "motion are effects of the robot or its friction that the model does not contain."
@@ -264,7 +264,7 @@ def _friction_section(predictions: Predictions, torque: Array) -> Section:
     return Section(
         id="friction",
         title="Friction",
-        says=(
+        explanation=(
             "Measured motor torque minus the rigid-body torque of the force plate's estimate, "
             "over velocity: friction, and errors of the reported torque."
         ),

@@ -90,7 +90,7 @@ def test_a_design_tells_more_than_random_motions_is_proven_and_is_the_same_again
     np.testing.assert_array_equal(found.motion.coefficients, again.motion.coefficients)
     assert np.abs(found.motion.sine - other.motion.sine).max() > 1e-3
     assert found.is_complete
-    assert found.proof.holds
+    assert found.proof.is_valid
     rng, tree, limits = np.random.default_rng(5), asked.rules.tree, asked.rules.limits
     drawn = [random_motion(tree, limits, 0.2, 4, rng) for _ in range(10)]
     assert found.value < min(criterion(asked, motion) for motion in drawn) - np.log(1.3**2)
@@ -162,7 +162,7 @@ def test_a_search_may_end_early_is_steered_by_what_is_known_and_names_what_forbi
     asked, calls = replace(asked_of("puma"), search_count=50), list[int]()
     found = design(asked, lambda done, total, best: calls.append(total), lambda: len(calls) > 5)
     assert set(calls) == {50}
-    assert (found.is_complete, found.searches, found.proof.holds) == (False, 1, True)
+    assert (found.is_complete, found.searches, found.proof.is_valid) == (False, 1, True)
     scale = asked.information.scale
     count = len(scale)
     sigma = np.where(np.arange(count) < count // 2, 1e-6, 1e3)  # the first half is known

@@ -268,7 +268,7 @@ def test_efforts_and_plate_are_proven_as_tightly_as_they_are(haste: float, puma:
         pressed = PlateRange(np.full(6, INF), factor * place.max(axis=0))
         for range_ in (PlateRange(factor * most), pressed):
             held = rules(puma, limits, terms=(PlateTerm(range_, pedestal, 1.0),))
-            assert prove(motion, held).holds is holds
+            assert prove(motion, held).is_valid is holds
             assert respects_limits_at_samples(motion, held) is holds
 
 
@@ -284,7 +284,7 @@ def test_bodies_that_meet_between_samples_are_found() -> None:
         post = ball(-1, 0.05, away * np.array([np.cos(angle), np.sin(angle), 0]))
         collision = collision_model(two, [post, ball(1, 0.05, np.zeros(3))])
         found = prove(motion, rules(two, wide(2), collision=collision, clearance=np.full(1, 0.01)))
-        assert [m.holds for m in found.margins if m.unit == "m"] == [holds]
+        assert [m.is_respected for m in found.margins if m.unit == "m"] == [holds]
         assert found.postures < 5000
 
 

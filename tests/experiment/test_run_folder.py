@@ -374,8 +374,8 @@ def test_random_motions_are_proven_keep_clear_and_frequencies_are_within_the_ban
     box = "excitation.obstacle=[{centre=[0.5, 0.0, 1.0], size=[0.3, 0.3, 0.3]}]"
     boxed = asked("puma", "motion.candidates=5", box)
     rules = rules_of(boxed, tree, designed=False)
-    assert prove(experiment_motion(boxed, tree), rules).holds
-    assert not prove(experiment_motion(free, tree), rules).holds
+    assert prove(experiment_motion(boxed, tree), rules).is_valid
+    assert not prove(experiment_motion(free, tree), rules).is_valid
     everywhere = "excitation.obstacle=[{centre=[0.0, 0.0, 1.0], size=[4.0, 4.0, 4.0]}]"
     with refuses(NoFeasibleMotion, "excitation.clearance"):
         experiment_motion(asked("puma", "motion.candidates=2", everywhere), tree)

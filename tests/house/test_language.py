@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -15,39 +16,12 @@ from tests.helpers.paths import ROOT
 MAX_WORDS = 15
 """Words of a first line; what stands in brackets, quotes or backticks counts as one."""
 
-OPENINGS = frozenset(
-    """what of whether which how where who whom when that it its they their theirs he all both one
-    ones those these this each every same another such only as by for from in with without nothing
-    none nobody to than if like rather so and or but no not at on once two three more most less
-    else beside between after before until while there here""".split()
-)
-"""First words of relative clauses and fragments; a noun or an imperative verb comes first."""
 
-PRONOUNS = frozenset("ones theirs those they them".split())
-EARLY_PRONOUNS = frozenset("it its their itself".split())
-"""Pronouns that have no noun yet among the first four words."""
-
-PERSONS = frozenset(
-    """say says said saying tell tells told telling nobody somebody anybody everybody whoever
-    whatever whichever person people knows thinks wants wanted believes speaks asks asked answers
-    stranger judge wish wishes thing things stuff look looks looked feels felt sees seen""".split()
-)
-"""Words for what only people do, and for nothing in particular."""
-
-NAMES = frozenset(
-    """about accepted across added after again alike allowed along alone apart around at asked
-    become begin bent beside best better between beyond carried carries changed chosen counted cut
-    cuts drawn each ended enough even every expecting far felt few follows found four fresh further
-    given has here holds is keep keeps kept large late left like likely lone look looked looks made
-    meant more most moved moves near never none odd of on one only others over own piled placed plain
-    plus pulled put refused remarking rest said same say saying seen settled shown six slow some
-    sticks stands stuck swallowed taken there three together told tried turned two under unseen used
-    wanted widened with_ within without worse worst wrong""".split()
-)
-"""Names of functions that name no value and no action."""
-
-VARIABLES = frozenset("found said kept shown felt made given every fresh further far told".split())
-"""Names of variables that do not name their value."""
+WORDS = {
+    rule: frozenset(words.split())
+    for rule, words in tomllib.loads((ROOT / "tests/house/language.toml").read_text()).items()
+}
+"""Words by the rule that forbids them."""
 
 CODE = sorted((ROOT / "testbed").rglob("*.py"))
 
@@ -90,10 +64,10 @@ def faults_of_line(line: str) -> Iterator[str]:
         yield "no full stop"
     if len(words) > MAX_WORDS:
         yield f"{len(words)} words"
-    if words and words[0] in OPENINGS:
+    if words and words[0] in WORDS["openings"]:
         yield f'opens with "{words[0]}"'
-    yield from (f'"{word}"' for word in words if word in PRONOUNS | PERSONS)
-    yield from (f'early "{word}"' for word in words[:4] if word in EARLY_PRONOUNS)
+    yield from (f'"{word}"' for word in words if word in WORDS["pronouns"] | WORDS["persons"])
+    yield from (f'early "{word}"' for word in words[:4] if word in WORDS["early_pronouns"])
 
 
 def faults(definition: Definition) -> Iterator[str]:
@@ -102,12 +76,12 @@ def faults(definition: Definition) -> Iterator[str]:
         return
     node, document = definition.node, ast.get_docstring(definition.node)
     if definition.is_function:
-        if definition.name.strip("_") in NAMES:
+        if definition.name.strip("_") in WORDS["names"]:
             yield "its name"
         names = [each.arg for each in ast.walk(node) if isinstance(each, ast.arg)]
         stores = [each for each in ast.walk(node) if isinstance(each, ast.Name)]
         names += [each.id for each in stores if isinstance(each.ctx, ast.Store)]
-        yield from (f"variable `{name}`" for name in sorted(VARIABLES.intersection(names)))
+        yield from (f"variable `{name}`" for name in sorted(WORDS["variables"].intersection(names)))
     empty = isinstance(node, ast.Module) and not node.body
     if empty or (definition.nested and definition.is_function):
         return

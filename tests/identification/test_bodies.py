@@ -224,17 +224,17 @@ def test_where_they_do_not_the_file_is_not_made_worse() -> None:
     assert len(found.determined) < found.count
     assert ((found.share >= 0) & (found.share <= 1)).all()
     assert 0.15 < found.prior_error < 0.6
-    assert not found.worse("posterior")
+    assert not found.worse_channels("posterior")
     problem = Problem.from_recording(
         robot("puma"), measured(robot("puma"), 6), "torque", estimate.settings
     )
     models = found.models | {"plain": estimate.values}
     fast = errors_on_recording(problem, problem.source, models)
-    assert {d.code for d in fast.worse("plain")} == {"estimate.worse-than-file"}
-    assert not [*fast.worse("posterior")]
+    assert {d.code for d in fast.worse_channels("plain")} == {"estimate.worse-than-file"}
+    assert not [*fast.worse_channels("posterior")]
     again = from_json_values(Posterior, to_json_values(found), {})
     np.testing.assert_array_equal(again.values, found.values)
-    assert again.errors[0].best == found.errors[0].best
+    assert again.errors[0].best_method == found.errors[0].best_method
 
 
 def test_what_is_known_is_known_with_the_file_too() -> None:
@@ -262,7 +262,7 @@ def test_the_true_file_leaves_noise_of_another_recording() -> None:
     assert (errors.residual["truth"] < 0.12).all()
     assert (errors.residual["refitted"] > errors.residual["truth"]).all()
     assert errors.residual["file"][0] > 8
-    assert list(errors.worse("posterior")) == []
+    assert list(errors.worse_channels("posterior")) == []
 
 
 def with_last_joint(tree: tb.Tree, speed: float, seed: int) -> tb.Recording:

@@ -46,12 +46,12 @@ def test_a_late_plate_and_late_torques_are_found(name: str, late: float) -> None
     rounded = replace(spoiled, position=np.nextafter(spoiled.position, np.inf))
     found, again = time_offsets(tree, spoiled), time_offsets(tree, rounded)
     for each, other, wanted in zip(found, again, (late, late / 2), strict=True):
-        assert (each.late, each.drifts) == (True, False)
+        assert (each.is_late, each.is_drifting) == (True, False)
         assert abs(each.delay - wanted) < max(2e-5, 5 * each.sigma)
         assert abs(each.delay - other.delay) < 1e-5 * each.sigma
     fast = replace(recording, torque=None, wrench=shifted(wrench, time, 5e-3 * (time - 10)))
     (plate,) = time_offsets(tree, fast)
-    assert not plate.drifts
+    assert not plate.is_drifting
 
 
 def test_sigma_of_a_delay_is_honest() -> None:
@@ -60,7 +60,7 @@ def test_sigma_of_a_delay_is_honest() -> None:
     for seed in range(6):
         tree = random_robot(np.random.default_rng(seed), 3).tree()
         recording = measured(tree, seed, duration=10.0, rate=200.0)
-        found += [(each.delay / each.sigma, each.late) for each in time_offsets(tree, recording)]
+        found += [(each.delay / each.sigma, each.is_late) for each in time_offsets(tree, recording)]
     z = np.array([value for value, _ in found])
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.8
     assert not any(late for _, late in found)
@@ -147,7 +147,7 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     wrong = error(tree, tb.import_recording(path))
     (recording,), cuts, found = import_and_check(path, lambda each: (tree, each), align=True)
     (clock,) = found.offsets
-    assert (cuts, clock.drifts) == ([], True)
+    assert (cuts, clock.is_drifting) == ([], True)
     assert clock.skew == pytest.approx(-SKEW, abs=5 * clock.skew_sigma)
     said = path.read_text().replace('"s"', f'"s"\noffset = {-LATE}\nskew = {SKEW}', 1)
     path.write_text(said)
@@ -155,7 +155,7 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     assert error(tree, tb.import_recording(path)) < 1.2 * perfect
     assert error(tree, recording) < 1.2 * perfect
     (left,) = time_offsets(tree, recording)
-    assert (left.late, left.drifts) == (False, False)
+    assert (left.is_late, left.is_drifting) == (False, False)
     assert check_recording(tree, recording).offsets == ()  # what was accepted is not held again
 
 

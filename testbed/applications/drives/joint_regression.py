@@ -354,7 +354,7 @@ def _prediction_matrix(
     Rows of separate joint terms are zero.
     """
     if bodies.minimal.of_sensor:
-        if not {*bodies.joints} <= {*tree.names} or bodies.minimal.cuts:
+        if not {*bodies.joints} <= {*tree.names} or bodies.minimal.subtracted_sensors:
             raise SettingsError(
                 "drives are held against the wrench of all that a force sensor carries, of the "
                 "same robot"

@@ -128,8 +128,8 @@ def flange_payload(
     def flange_inertia(values: Array) -> Inertia:
         inertia = Inertia.of_pseudo(pseudo_inertias(values))
         if link is not None and sensor is not None:
-            inertia = inertia.moved(sensor.X_BS)
-        return inertia if link is None else inertia.moved(link.X_BL.inverse)
+            inertia = inertia.transformed(sensor.X_BS)
+        return inertia if link is None else inertia.transformed(link.X_BL.inverse)
 
     def flange_parameters(values: Array) -> Array:
         transformed = flange_inertia(values)

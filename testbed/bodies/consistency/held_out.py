@@ -88,7 +88,9 @@ def with_consistent_predictions(
         return replace(
             posterior_estimate,
             consistent=consistent_unknowns(bodies, problem),
-            errors=tuple(rival_errors.beside(error) for error, rival_errors in pairs),
+            errors=tuple(
+                rival_errors.merged_with(error) for error, rival_errors in pairs
+            ),
         )
 
     return {

@@ -215,7 +215,7 @@ class Agreement:
     inverse: float
 
     @property
-    def holds(self) -> bool:
+    def agrees(self) -> bool:
         """True if all three row spaces agree and the sampled rank is clear.
 
         The sampled row space is known to 1 / gap only; the change of the model by regrouping is a
@@ -306,7 +306,7 @@ class DriveAgreement:
     change: float
 
     @property
-    def holds(self) -> bool:
+    def agrees(self) -> bool:
         """True if both counts agree, the sampled rank is clear and the model unchanged."""
         ranks_agree = self.count == self.sampled and self.gap >= MIN_GAP
         return ranks_agree and self.change <= MAX_MODEL_CHANGE

@@ -100,7 +100,7 @@ class MinimalSet(Value):
         return self._tree.lead
 
     @property
-    def cuts(self) -> int:
+    def subtracted_sensors(self) -> int:
         """Number of further force sensors whose wrenches are subtracted from the wrench."""
         return len(self._tree.cuts)
 
@@ -142,7 +142,7 @@ class MinimalSet(Value):
         )
 
     @cached_property
-    def never(self) -> tuple[str, ...]:
+    def unidentifiable(self) -> tuple[str, ...]:
         """Names of barycentric parameters that are in no combination, known zeros excluded."""
         is_absent = ~self.matrix.any(axis=0) & ~self.known_zero.ravel()
         return tuple(np.array(parameter_names(self._tree))[is_absent].tolist())
@@ -188,9 +188,9 @@ class MinimalSet(Value):
         S lift = 1, known zeros are zero, and theta -> lift S theta does not change the model.
         """
         lift = self._elimination.right_inverse
-        return readonly_array(self.carried(lift), lift.shape, "lift")
+        return readonly_array(self.with_carried_mass(lift), lift.shape, "lift")
 
-    def carried(self, theta: Array) -> Array:
+    def with_carried_mass(self, theta: Array) -> Array:
         """Copy of theta with the mass mbar that a free base's coordinate bodies carry.
 
         The bodies of the coordinates are massless, so their mbar is the base's.

@@ -104,7 +104,7 @@ class Inertia(Value):
             matrix[3, 3], matrix[:3, 3], np.trace(second) * np.eye(3) - second
         )
 
-    def moved(self, X_AB: Transform) -> Inertia:
+    def transformed(self, X_AB: Transform) -> Inertia:
         """Inertia about and along frame A of a body given in frame B.
 
         Args:

@@ -63,7 +63,7 @@ class ModelLink:
     @property
     def inertia_in_body(self) -> Inertia:
         """Inertia of the link about and along the body's frame."""
-        return self.inertia.moved(self.X_BL)
+        return self.inertia.transformed(self.X_BL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +317,7 @@ def _lumped_inertia(carrier: ModelLink, *others: ModelLink) -> Inertia:
     X_CB = carrier.X_BL.inverse
     massive = (link for link in others if link.inertia.pseudo.any())
     return carrier.inertia + total_inertia(
-        link.inertia.moved(X_CB @ link.X_BL) for link in massive
+        link.inertia.transformed(X_CB @ link.X_BL) for link in massive
     )
 
 

@@ -31,7 +31,7 @@ def c(listing: Listing, source: str) -> str:
 
 def _comment(each: Equations) -> list[str]:
     """Lines of the comment above a function: description and parameters."""
-    lines = wrap("/*", each.kind.says.split(), " * ")
+    lines = wrap("/*", each.kind.description.split(), " * ")
     if not each.kind.is_regressor:
         names = [f"{p.name} [{p.unit}]," for p in each.parameters]
         names[-1:] = [name.rstrip(",") for name in names[-1:]]

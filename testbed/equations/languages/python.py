@@ -89,7 +89,7 @@ def _public_function(each: Equations) -> list[str]:
     comma = "," if len(each.kind.takes) == 1 else ""
     return [
         f"def {name}({takes}{vector}):",
-        f'    """{each.kind.says}',
+        f'    """{each.kind.description}',
         "",
         f"    Takes {takes} of shape (..., joints){needs}; gives (..., {shape.strip('(),')}).",
         '    """',

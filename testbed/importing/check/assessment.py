@@ -231,7 +231,7 @@ def _plate_assessment(
     rest_diagnostics = tuple(check_rest(tree, search.first.instants))
     if rest_diagnostics:
         return Assessment((*range_diagnostics, *rest_diagnostics))
-    as_read, explanations = search.best()
+    as_read, explanations = search.find_best_explanations()
     best = explanations[0]
     gain = as_read.cost - best.cost
     certain = gain > CERTAIN_GAIN and _explains_well(as_read, best)

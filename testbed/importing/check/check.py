@@ -139,7 +139,7 @@ def check_recording(
     if offsets is None:
         offsets = time_offsets(tree, source, signals_to_align(source, faults))
     for each in offsets:
-        if each.matters:
+        if each.is_significant:
             lines = mapping_advice(_alignment_lines([each], source))
             diagnostics.append(
                 each.diagnostic(f"{lines}, or import with --model and --align")

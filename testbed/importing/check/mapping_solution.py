@@ -22,33 +22,27 @@ from testbed.core.base.errors import (
     round_significant,
 )
 from testbed.core.base.toml_text import validate_tables
-from testbed.core.base.transform import Transform
 from testbed.core.parameters.minimal_set import minimal_set
-from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import adapt_to_robot
-from testbed.core.robot.rotations import matrix_to_rpy, rotvec_to_matrix, rpy_to_matrix
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.assessment import (
     Assessment,
     assess_recording,
-    zero_hypothesis,
 )
 from testbed.importing.check.check import PreparedRecordings
+from testbed.importing.check.draft_corrections import (
+    with_clocks,
+    with_plate_correction,
+    with_plate_zero,
+    with_tare,
+)
 from testbed.importing.check.draft_mapping import (
     ASSUMED_NOTE,
     NOTE_PREFIXES,
     missing_keys,
 )
 from testbed.importing.check.explanation import Explanation
-from testbed.importing.check.plate import MAX_ORIGIN_SIGMA, WrenchFit
-from testbed.importing.check.plate_frame import plate_frame_of, unit_ratio
-from testbed.importing.check.plate_map import (
-    DELAY_INDEX,
-    RATIO_INDEX,
-    ROTATION_INDICES,
-    SHIFT_INDICES,
-    rotation_vector,
-)
+from testbed.importing.check.plate import WrenchFit
 from testbed.importing.check.recording_diagnostics import (
     encoder_step_diagnostics,
     is_pedestal_removed,
@@ -58,8 +52,6 @@ from testbed.importing.check.recording_diagnostics import (
 )
 from testbed.importing.check.search import Progress
 from testbed.importing.check.time_offset import (
-    TimeOffset,
-    alignment_lines,
     time_offsets,
 )
 from testbed.importing.convert import import_recordings, source_time_ranges
@@ -86,16 +78,6 @@ NMM_PER_NM = 1000.0
 
 MIN_OVERLAP = 0.9
 """Least common duration of two files by their clocks, relative to the shorter file."""
-
-ANGLE_STEPS = np.deg2rad([90, 45, 30, 15])
-"""Steps to which angles are rounded [rad]."""
-
-DELAY_Z_THRESHOLD = 4.0
-"""Normalised delay from which a plate with the clock of the positions is late."""
-
-MAX_SQUARED_DISTANCE = 14.2
-"""Largest squared distance of a rotation from rounded angles, in standard deviations: 99.7 %
-quantile of the chi-squared distribution with three degrees of freedom."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +133,7 @@ def solve_mapping(
             offsets = time_offsets(
                 tree, source, signals_to_align(source, assessment.channel_faults)
             )
-            aligned = _with_clocks(draft, source, offsets)
+            aligned = with_clocks(draft, source, offsets)
             prepared = replace(prepared, time_offsets=offsets)
             if aligned is not draft:
                 draft, prepared, assessment = _assess_draft(
@@ -165,7 +147,7 @@ def solve_mapping(
         *assessment.warnings,
         *_length_diagnostics(tree, assessment),
     )
-    refined = draft if best is None else _with_plate_correction(draft, best)
+    refined = draft if best is None else with_plate_correction(draft, best)
     current = prepared if refined is draft else None
     if any(each.code in ("plate.foreign", "recording.short") for each in diagnostics):
         refined = _with_doubtful_notes(refined)
@@ -260,7 +242,7 @@ def _improved_draft(
     if best is not None and "tare" not in plate:
         if codes == {"plate.weight"}:
             # the plate's zero is not the model's pedestal
-            return _with_plate_zero(draft, best)
+            return with_plate_zero(draft, best)
         masses = None if "pedestal" in plate else robot_masses(best)
         if masses is not None and not codes & {"plate.foreign", "plate.crosstalk"}:
             draft = _with_pedestal(draft, masses)
@@ -345,7 +327,7 @@ def _with_remedies(draft: MappingDraft, assessment: Assessment) -> MappingDraft:
             note += f"; equally explained by {', '.join(assessment.equivalent_explanations)}"
         for table, key, value in each.lines:
             if key == "tare":
-                draft = _with_tare(draft, value, note)
+                draft = with_tare(draft, value, note)
                 continue
             draft = draft.with_key(table, key, value, note)
             if (table, key) == ("position", "unit"):
@@ -380,136 +362,6 @@ def _with_data_notes(
         for place, old_note in draft.key_comments.items()
     }
     return replace(draft, key_comments=notes)
-
-
-def _with_clocks(
-    draft: MappingDraft, source: Source, offsets: Sequence[TimeOffset]
-) -> MappingDraft:
-    """Draft with significant delays and drifts of clocks."""
-    content = draft.content
-    for each in offsets:
-        for table, key, value in alignment_lines(each, content, source.metadata.report):
-            if key == "delay":
-                draft = _with_delay(draft, table, value, each.sigma)
-            else:
-                note = (
-                    f"solved: {1e6 * each.skew:.1f} +- {1e6 * each.skew_sigma:.1f} ppm"
-                )
-                draft = draft.with_key(table, key, value, note)
-    return draft
-
-
-def _with_delay(
-    draft: MappingDraft, signal: str, delay: float, sigma: float
-) -> MappingDraft:
-    """Draft with a signal's delay [s], or the offset of its separate clock."""
-    source = draft.tables[signal]["source"]
-    table, key, value = signal, "delay", round(delay, 7)
-    if source != draft.tables["position"]["source"]:
-        table, key = f"sources.{source}", "offset"
-        value = round(draft.tables[table].get("offset", 0.0) - delay, 7)
-        draft = draft.with_key(signal, "delay", None)
-    return draft.with_key(
-        table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms"
-    )
-
-
-def _with_plate_correction(draft: MappingDraft, best: Explanation) -> MappingDraft:
-    """Draft with frame, delay and zero of a plate as determined by the data."""
-    table = draft.tables.get("wrench")
-    if table is None:
-        return draft
-    frame = plate_frame_of(draft.content)
-    corrections, covariance = best.fit.plate.frame_correction(best.plate)
-    sigma = np.sqrt(np.diagonal(covariance))
-    turn = rotvec_to_matrix(corrections[ROTATION_INDICES])
-    rotation, xyz = (
-        turn @ frame.rotation,
-        turn @ frame.origin + corrections[SHIFT_INDICES],
-    )
-    rpy = _rounded_angles(
-        rotation, covariance[np.ix_(ROTATION_INDICES, ROTATION_INDICES)]
-    )
-    draft = _with_place(draft, rotation, xyz, rpy, sigma)
-    ratio = 1 / unit_ratio(frame.units) / (1 + corrections[RATIO_INDEX])
-    note = draft.key_comments.get(("wrench", "units"), "by the file")
-    note += f"; ratio {ratio:.6g} +- {ratio * sigma[RATIO_INDEX]:.2g}"
-    draft = draft.with_key("wrench", "units", table["units"], note)
-    delay = float(corrections[DELAY_INDEX])
-    same_clock = (
-        table["source"] == draft.tables["position"]["source"] and "delay" not in table
-    )
-    if not same_clock or abs(delay) > DELAY_Z_THRESHOLD * sigma[DELAY_INDEX]:
-        draft = _with_delay(
-            draft, "wrench", table.get("delay", 0.0) + delay, float(sigma[DELAY_INDEX])
-        )
-    matrix = (
-        Transform(rpy_to_matrix(rpy), xyz).wrench_matrix
-        @ frame.wrench_to_sensor
-        @ best.plate.map
-    )
-    return _with_plate_zero(draft, replace(best, plate=replace(best.plate, map=matrix)))
-
-
-def _with_place(
-    draft: MappingDraft, rotation: Array, xyz: Array, rpy: Sequence[float], sigma: Array
-) -> MappingDraft:
-    """Draft with a plate's origin and rounded angles, with a note on their uncertainty."""
-    angles, angle_errors = (
-        np.rad2deg(matrix_to_rpy(rotation)),
-        np.rad2deg(sigma[ROTATION_INDICES]),
-    )
-    errors = sigma[SHIFT_INDICES]
-    origin = draft.key_comments.get(("wrench", "place"), "solved")
-    note = f"{origin}; rpy {_decimals(angles, 3)} +- {_decimals(angle_errors, 3)} deg"
-    note += f"; xyz {_decimals(1e3 * xyz, 2)} +- {_decimals(1e3 * errors, 2)} mm"
-    axes = [
-        axis
-        for axis, each in zip("xyz", errors, strict=True)
-        if each > MAX_ORIGIN_SIGMA
-    ]
-    note += f"; {', '.join(axes)} not determined by these data" * bool(axes)
-    value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in rpy]}
-    return draft.with_key("wrench", "# place", None).with_key(
-        "wrench", "place", value, note
-    )
-
-
-def _with_plate_zero(draft: MappingDraft, best: Explanation) -> MappingDraft:
-    """Draft with the wrench on the plate without the robot, if significant."""
-    table = MappingFile.model_validate(draft.content).wrench
-    zero = (
-        None
-        if table is None
-        else zero_hypothesis(best, table.static_wrench(None), min_shift=0.0)
-    )
-    if zero is None:
-        return draft
-    note = "solved: where it is clear; of Fz, Mx and My, what is of weight, by the file's masses"
-    return _with_tare(draft, list(zero.values), note)
-
-
-def _with_tare(draft: MappingDraft, tare: list[float], note: str) -> MappingDraft:
-    """Draft with the wrench on the plate without the robot, pedestal included."""
-    included = draft.tables["wrench"].get("pedestal") == "included"
-    draft = draft.with_key("wrench", "pedestal", None) if included else draft
-    return draft.with_key("wrench", "tare", tare, note)
-
-
-def _rounded_angles(rotation: Array, covariance: Array) -> Sequence[float]:
-    """Roll, pitch and yaw, rounded to common steps if consistent with the covariance."""
-    rpy = matrix_to_rpy(rotation)
-    for step in ANGLE_STEPS:
-        rounded = [round(angle / step) * step for angle in rpy]
-        difference = rotation_vector(rpy_to_matrix(rounded) @ rotation.T)
-        if difference @ np.linalg.solve(covariance, difference) < MAX_SQUARED_DISTANCE:
-            return rounded
-    return rpy
-
-
-def _decimals(values: Array, digits: int) -> str:
-    """Numbers with a given number of decimals, separated by commas."""
-    return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
 def _length_diagnostics(tree: Tree, assessment: Assessment) -> Iterator[Diagnostic]:

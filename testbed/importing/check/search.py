@@ -101,7 +101,7 @@ class Search:
         self._offset = position_offset(tree, mapping)
         self.first = self._fit()
 
-    def best(self) -> tuple[Explanation, list[Explanation]]:
+    def find_best_explanations(self) -> tuple[Explanation, list[Explanation]]:
         """Explanation of the plate as read, and best explanations, the best first."""
         initial = self.first
         assert initial is not None

@@ -91,19 +91,19 @@ class TimeOffset:
     after: float
 
     @property
-    def late(self) -> bool:
+    def is_late(self) -> bool:
         """True if the delay is significant."""
         return abs(self.delay) > Z_THRESHOLD * self.sigma
 
     @property
-    def drifts(self) -> bool:
+    def is_drifting(self) -> bool:
         """True if the difference of clock rates is significant."""
         return abs(self.skew) > Z_THRESHOLD * self.skew_sigma
 
     @property
-    def matters(self) -> bool:
+    def is_significant(self) -> bool:
         """True if the delay or the drift is significant."""
-        return self.late or self.drifts
+        return self.is_late or self.is_drifting
 
     def diagnostic(self, remedy: str = "") -> Diagnostic:
         """Diagnostic of the delay, for reports.
@@ -118,7 +118,7 @@ class TimeOffset:
             sigma=self.sigma,
             delay=1e3 * self.delay,
             deviation=1e3 * self.sigma,
-            drift=1e6 * self.skew * self.drifts,
+            drift=1e6 * self.skew * self.is_drifting,
             before=self.before,
             after=self.after,
             lines=remedy,
@@ -206,7 +206,7 @@ def alignment_lines(
         mapping: Content of the mapping file, as stored in a recording.
         report: Report of the import.
     """
-    if not offset.matters:
+    if not offset.is_significant:
         return
     clocks = ImportReport.from_dict(report).clocks if report else {}
     for name, table in signal_tables(mapping, offset.signal).items():
@@ -214,7 +214,7 @@ def alignment_lines(
             str(table.get("source")),
             float(table.get("delay", 0.0)) + offset.delay,
         )
-        if offset.drifts and source != mapping["position"]["source"]:
+        if offset.is_drifting and source != mapping["position"]["source"]:
             lead, old_skew = (
                 clocks[source].lead,
                 mapping["sources"][source].get("skew", 0.0),
@@ -267,7 +267,7 @@ def _time_offset(
     valid = valid * ((time >= time[0] - start) & (time <= time[-1] - start))[:, None]
     regression = _Regression(rows, valid, time, measured)
     offset = _fit_offset(kind, regression, [start, 0.0])
-    if offset.drifts and abs(offset.skew) < MAX_SKEW:
+    if offset.is_drifting and abs(offset.skew) < MAX_SKEW:
         return offset
     return _fit_offset(kind, regression, [start])
 

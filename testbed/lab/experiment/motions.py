@@ -78,9 +78,9 @@ def experiment_motion(
             "Hz"
         )
     proof = prove(motion, rules)
-    if not proof.holds:
+    if not proof.is_valid:
         raise NoFeasibleMotion(
-            f"{path} does not suit this experiment: {proof.worst.words}"
+            f"{path} does not suit this experiment: {proof.smallest_margin.words}"
         )
     return motion
 

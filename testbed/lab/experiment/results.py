@@ -57,7 +57,7 @@ HASH_DIGITS = 16
 def provenance_lines(
     bodies: Consistent, model: ModelFile, recordings: Sequence[Path]
 ) -> list[str]:
-    """Comment lines on the origin of the numbers in a written copy of a model file."""
+    """Comment lines on the origin of the numbers in a model file."""
     methods = " and ".join(each.method for each in bodies.bent)
     return [
         f"testbed {package_versions()['testbed']}: inertials and joint losses are physically "

@@ -176,7 +176,7 @@ def _validation_residuals(run: Run) -> list[str]:
         roots = np.sqrt(validation.rows)
         signal, *errors = (
             np.nan_to_num(roots * x)
-            for x in (validation.signal, validation.error, validation.allowed)
+            for x in (validation.signal, validation.error, validation.expected_error)
         )
         shares = [
             relative_rms_error(error, signal, validation.units) for error in errors

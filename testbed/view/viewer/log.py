@@ -141,8 +141,8 @@ def _motion_notes(name: str, rules: MotionConstraints, proof: Proof) -> str:
     """Markdown notes of a motion: verdict, table of margins, diagnostics."""
     verdict = (
         "Proven at every moment."
-        if proof.holds
-        else f"**Not proven:** {escaped_markdown(proof.worst.words)}"
+        if proof.is_valid
+        else f"**Not proven:** {escaped_markdown(proof.smallest_margin.words)}"
     )
     lines = [
         f"# {escaped_markdown(name)}",

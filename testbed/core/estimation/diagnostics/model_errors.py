@@ -72,7 +72,7 @@ def repetition_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         method=estimate.method,
         level="warning" if estimate.model_errors else None,
         causes=["encoder-steps"] * noise.steps_matter,
-        again=repeatable.again,
+        again=repeatable.repetition_text,
         chance=chance_text(repeatable.chance),
         channel=estimate.label(largest_channel),
         rms=repeatable.rms[largest_channel],

@@ -140,7 +140,7 @@ class RepeatableError:
     share: Array
 
     @property
-    def again(self) -> str:
+    def repetition_text(self) -> str:
         """Text on the repetition: the number of recordings, or the period."""
         if self.recordings > 1:
             return f"in {self.recordings} recordings of it"

@@ -74,7 +74,7 @@ class MjcfModel:
         bodies = [ZERO_INERTIA] * (len(joints) + 1)  # the last is the pedestal, body -1
         for link in self.links:
             inertia = self.repair.links.get(link.name, link.inertia)
-            bodies[link.body] += inertia.moved(link.X_BL)
+            bodies[link.body] += inertia.transformed(link.X_BL)
         *inertias, pedestal = bodies
         return Tree(
             name=model.names[: model.names.index(b"\0")].decode() or "robot",

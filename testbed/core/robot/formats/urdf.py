@@ -157,7 +157,7 @@ def _link_inertia(link: ET.Element) -> Inertia:
     R_LC = pin.rpy.rpyToMatrix(*attribute_numbers(origin, "rpy", "0 0 0"))
     X_LC = Transform(R_LC, np.array(attribute_numbers(origin, "xyz", "0 0 0")))
     mass, central = _mass_and_tensor(inertial)
-    return Inertia(mass, np.zeros(3), central).moved(X_LC)
+    return Inertia(mass, np.zeros(3), central).transformed(X_LC)
 
 
 def _pinocchio_model(root: ET.Element, path: Path) -> pin.Model:
