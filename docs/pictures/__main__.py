@@ -20,6 +20,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 WIDTH = 1440
+DARKEST_SHARE = 48.0
+"""Share of the colour in the darkest cell, on which text is legible [%]."""
 SIZE, ZOOM = "1920x1440", 10
 """Of the viewer's window [pixels], and steps of its zoom: words can be read on a page."""
 
@@ -84,7 +86,6 @@ def campaign(folder: Path) -> None:
     from testbed.campaigns.results import RESULTS_FILE, read_campaign_results
     from testbed.campaigns.summary import summarise
     from testbed.core.base.errors import round_significant
-    from testbed.view.section import DARKEST
 
     if not folder.exists():
         file = "experiments/campaigns/noise_friction.toml"
@@ -101,10 +102,10 @@ def campaign(folder: Path) -> None:
             values = [errors[method, friction, noise] for noise in columns]
             rows[f"{friction:g}"] = [f"{round_significant(100 * value, 2):g}" for value in values]
             for c, value in enumerate(values):
-                share = DARKEST * (math.log(value) - lightest) / span
+                share = DARKEST_SHARE * (math.log(value) - lightest) / span
                 parts.append(
                     f'<rect x="{LEFT + wide * c}" y="{top + 6 + CELL * (k + 1)}" width="{wide}" '
-                    f'height="{CELL}" fill="var(--external)" opacity="{share / 100:.2f}"/>'
+                    f'height="{CELL}" fill="var(--wrench)" opacity="{share / 100:.2f}"/>'
                 )
         parts += table(top, f"{caption} [%]", [f"{noise:g}" for noise in columns], rows, wide)
         top += 26 + CELL * (len(rows) + 1) + 12

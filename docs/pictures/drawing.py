@@ -86,7 +86,7 @@ def square(x: float, y: float, side: float, share: float) -> str:
     """A square in the colour of the plate's estimates, more or less full."""
     return (
         f'<rect x="{x:g}" y="{y:g}" width="{side:g}" height="{side:g}" rx="3" '
-        f'fill="var(--external)" fill-opacity="{share:g}" stroke="var(--line)"/>'
+        f'fill="var(--wrench)" fill-opacity="{share:g}" stroke="var(--line)"/>'
     )
 
 

@@ -345,10 +345,6 @@ def save_sigma() -> None:
          "the truth")  # fmt: skip
 
 
-if __name__ == "__main__":
-    main()
-
-
 def save_real_arm() -> None:
     """The wrench of a real arm below 2 Hz: measured, by the model file, with the file as prior."""
     folder = HERE.parent.parent / "examples/ur5e_plate"
@@ -394,3 +390,7 @@ def save_real_arm() -> None:
     parts.append(words(390, 488, "18.5 s", "middle", SMALL, "faint"))
     save("real_arm", 720, 500, parts, "Moments and vertical force of a real UR5e: measured, by "
          "the model file, and by the model file with the recording")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

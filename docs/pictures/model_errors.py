@@ -57,7 +57,7 @@ def main() -> None:
         y = top + 56 - 24 * values / most
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
         parts.append(
-            f'<polyline points="{points}" fill="none" stroke="var(--external)" stroke-width="1.3"/>'
+            f'<polyline points="{points}" fill="none" stroke="var(--wrench)" stroke-width="1.3"/>'
         )
     height = 20 + HIGH * -(-len(shown) // COLUMNS)
     says = "Residuals of a UR5 in 20 s by each family of model errors, beside the parameters"
