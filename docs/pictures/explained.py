@@ -351,7 +351,7 @@ def save_real_arm() -> None:
     recording = tb.import_recording(folder / "ur5e.toml")
     file, source, _ = tb.hold_still(tb.ModelFile(folder / "ur5e_arm.urdf"), recording)
     tree, settings = file.tree(), tb.Settings(cutoff=2.0)
-    rows = corrected_row_parts(Problem.of(tree, source, "wrench", settings), None)
+    rows = corrected_row_parts(Problem.from_recording(tree, source, "wrench", settings), None)
     found = compute_posterior(rows, prior_of(tree))
     low = butter(4, 2.0 / (source.rate / 2), output="sos")
     part = source.part(0, source.samples).ordered(tree)

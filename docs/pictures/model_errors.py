@@ -31,7 +31,7 @@ def main() -> None:
     shown: dict[str, tuple[str, str, Array]] = {}
     for method in ("torque", "wrench"):
         estimate = tb.identify(tree, recording, method)
-        problem = Problem.of(tree, recording, method)
+        problem = Problem.from_recording(tree, recording, method)
         none = np.zeros((0, len(estimate.values) + 1))
         rows = error_rows(problem, problem.source, estimate.values, none)
         families = [f for f in model_error_families() if f.physical and method in f.methods]

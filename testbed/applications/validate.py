@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from testbed.applications.prediction import covariance_without_correction
 from testbed.bodies.estimate_summary import check_parameters
 from testbed.bodies.prediction_errors import (
     LEAST_SQUARES,
@@ -32,7 +33,6 @@ from testbed.core.base.diagnostics import (
 from testbed.core.base.errors import RecordingError
 from testbed.core.base.stages import Progress, ignore_progress
 from testbed.core.base.summary_table import Summarized, SummaryTable
-from testbed.core.dynamics.newton_euler import Motion, linear_inverse_dynamics
 from testbed.core.estimation.estimate import (
     Estimate,
     EstimateSummary,
@@ -41,190 +41,15 @@ from testbed.core.estimation.estimate import (
     non_negligible_residuals,
 )
 from testbed.core.estimation.model_errors.model_errors import ModelErrorFreeSource
-from testbed.core.estimation.problem import Problem, recording_tare
+from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import matrix_square_root
-from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.chosen import completed_by_estimates
-from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.parameters.rules import SIGNALS, Signal
-from testbed.core.recordings.geometry import with_recorded_gravity
-from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import RecordingLike, Source, longest_segment
-from testbed.core.robot.friction import OFFSET_DRIFT, ROOM_TEMPERATURE, term_torque
+from testbed.core.estimation.settings import Settings
+from testbed.core.parameters.rules import Signal
+from testbed.core.recordings.source import RecordingLike, Source
+from testbed.core.robot.friction import OFFSET_DRIFT
 from testbed.core.robot.tree import Tree
 from testbed.sensors.corrected import corrected
-
-
-def longest_segment_motion(
-    recording: Recording, settings: Settings = DEFAULTS
-) -> tuple[Motion, slice]:
-    """Joint motion in a recording's longest segment without gaps, and its sample range.
-
-    Positions are differentiated by the filters of identification unless velocities and
-    accelerations were measured.
-
-    Returns:
-        The motion, and the slice of the recording's samples that it covers: filters lose both ends.
-    """
-    first, last = longest_segment(recording)
-    segment = recording.part(first, last)
-    if segment.velocity is not None and segment.acceleration is not None:  # both
-        rates = segment.velocity, segment.acceleration
-        return Motion(segment.time, segment.position, *rates), slice(first, last)
-    fitted = settings.fitted(segment.rate)
-    taps = motion_taps(segment.rate, fitted.position_low_pass)
-    half_length = taps.shape[1] // 2
-    covered = slice(first + half_length, last - half_length)
-    if segment.samples <= 2 * half_length:
-        raise RecordingError("the recording is too short for the filter on positions")
-    signals = (
-        np.apply_along_axis(np.convolve, 0, segment.position, tap[::-1], "valid")
-        for tap in taps
-    )
-    return Motion(recording.time[covered], *signals), covered
-
-
-def barycentric_parameters(estimate: Estimate, others: Array | None = None) -> Array:
-    """Barycentric parameters consistent with an estimate's base parameters, (n, 10).
-
-    Minimum-norm solution of S theta = delta, or the solution nearest to `others`; all solutions
-    give the same forces.
-
-    Args:
-        estimate: Estimate by either signal.
-        others: Barycentric parameters from which unidentifiable combinations are taken, (n, 10);
-            default zero.
-    """
-    matrix = estimate.minimal.matrix
-    reference = np.zeros(matrix.shape[1]) if others is None else others.ravel()
-    residual = estimate.base.values - matrix @ reference
-    theta: Array = reference + np.linalg.lstsq(matrix, residual, rcond=None)[0]
-    return estimate.minimal.with_carried_mass(theta).reshape(-1, 10)
-
-
-def predicted_signals(
-    tree: Tree,
-    recording: Recording,
-    motion: Motion,
-    estimates: Mapping[Signal, Estimate],
-) -> tuple[dict[Signal, Array], dict[Signal, Array]]:
-    """Wrenches and motor torques predicted along a motion, by signal of the estimate.
-
-    Joint torques do not determine all parameters of the wrench: the estimate by torques predicts a
-    wrench only together with an estimate by the plate, from which the missing combinations are
-    taken. Torques predicted from the plate contain no friction and no rotor inertia.
-
-    Args:
-        tree: The robot; its masses are not used.
-        recording: Recording with the gravity and the pedestal's share of the wrench.
-        motion: Motion of M samples within the recording.
-        estimates: Estimates by signal, "wrench" and "torque", in any order.
-
-    Returns:
-        Wrenches by signal, pedestal included, (M, 6) [N, N m]; and motor torques by signal, (M, n)
-            [N m or N].
-    """
-    tree = with_recorded_gravity(tree, recording)
-    tare = recording_tare(tree, recording)
-    theta = np.zeros((tree.n, 10, len(estimates)))
-    methods = [method for method in SIGNALS if method in estimates]
-    for k, method in enumerate(methods):  # the estimate by the plate comes first
-        theta[..., k] = barycentric_parameters(
-            estimates[method], theta[..., 0] if k else None
-        )
-    joint_torques, wrenches = linear_inverse_dynamics(tree, motion, theta)
-    first = int(np.searchsorted(recording.time, motion.t[0]))
-    excess_temperature = recording.temperature
-    excess_temperature = (
-        None
-        if excess_temperature is None
-        else excess_temperature[first : first + motion.samples] - ROOM_TEMPERATURE
-    )
-    torque = {
-        method: joint_torques[..., k]
-        + joint_term_torque(motion, estimates[method], excess_temperature)
-        for k, method in enumerate(methods)
-    }
-    wrench_methods = methods if "wrench" in methods else []
-    return {
-        method: wrenches[..., k] + tare for k, method in enumerate(wrench_methods)
-    }, torque
-
-
-def joint_term_torque(
-    motion: Motion, estimate: Estimate, excess_temperature: Array | None = None
-) -> Array:
-    """Torque of friction, rotors and other joint terms of an estimate, (M, n) [N m or N].
-
-    The drift of offsets, which belongs to one recording, is omitted.
-
-    Args:
-        motion: Motion of M samples, joints in the order of `estimate.joints`.
-        estimate: Estimate by either signal; an estimate by the plate has no joint terms.
-        excess_temperature: Temperatures minus 25 degC, (M, n) [K]; default none, for 25 degC.
-    """
-    torque = np.zeros_like(motion.qd)
-    drives = estimate.drives
-    if drives is not None:
-        coefficients = estimate.values[estimate.minimal.count :]
-        for term, value in zip(drives.terms, coefficients, strict=True):
-            is_known = excess_temperature is not None and term.law.by == "temperature"
-            scale = (
-                excess_temperature[:, term.joint]
-                if excess_temperature is not None and is_known
-                else 0.0
-            )
-            torque += value * term_torque(
-                drives.tree, term, motion.qd, motion.qdd, scale
-            )
-    return torque
-
-
-def steady_joint_torque(speed: Array, estimate: Estimate) -> Array:
-    """Torque of joint terms at constant speeds, (M, n) [rad/s or m/s]: (M, n) [N m or N]."""
-    steady = Motion(
-        np.arange(len(speed), dtype=float), speed, speed, np.zeros_like(speed)
-    )
-    return joint_term_torque(steady, estimate)
-
-
-def prediction_variances(
-    tree: Tree, recording: Recording, motion: Motion, estimate: Estimate
-) -> Array:
-    """Variances of the predicted signal due to the covariance of the parameters, (M, C)."""
-    tree = with_recorded_gravity(tree, recording)
-    terms = () if estimate.drives is None else estimate.drives.terms
-    root = matrix_square_root(_covariance_without_correction(estimate))
-    body_roots, term_roots = np.split(root, [estimate.minimal.count])
-    lift = np.linalg.pinv(estimate.minimal.matrix) @ body_roots
-    theta = estimate.minimal.with_carried_mass(lift).reshape(tree.n, 10, -1)
-    blocks = []
-    for first in range(0, motion.samples, BLOCK_SAMPLES):
-        part = motion[first : first + BLOCK_SAMPLES]
-        columns = linear_inverse_dynamics(tree, part, theta)[
-            estimate.method == "wrench"
-        ]
-        for term, term_root in zip(
-            terms, term_roots, strict=False
-        ):  # other unknowns follow
-            torque = term_torque(tree, term, part.qd, part.qdd)
-            columns += torque[..., None] * term_root
-        blocks.append((columns**2).sum(axis=2))
-    return np.concatenate(blocks)
-
-
-def _covariance_without_correction(estimate: EstimateSummary) -> Array:
-    """Covariance of the parameters without the share of the model-error correction, (p, p).
-
-    That share is part of the variance of the model errors, which the validation adds separately.
-    """
-    if estimate.correction is None:
-        return estimate.covariance
-    return np.asarray(estimate.covariance - estimate.correction.covariance)
-
-
-BLOCK_SAMPLES = 4096
-"""Number of samples of which variances are computed at a time."""
 
 Z_95_PERCENT = 1.96
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
@@ -307,7 +132,7 @@ class Validation(Diagnosed, Summarized):
             "rms residual",
             "unit",
             "of the signal",
-            "over expected_error",
+            "over expected error",
             "in band",
         )
         warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
@@ -421,7 +246,7 @@ def _validation(
 ) -> Validation:
     """Statistics of the residuals on another recording, sensor errors being removed."""
     model_variance = np.zeros(len(problem.channels))
-    covariance = _covariance_without_correction(estimate)
+    covariance = covariance_without_correction(estimate)
     if estimate.correction is not None:
         source = ModelErrorFreeSource(
             problem, source, estimate.values, estimate.correction

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import to_json_values
 from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
 from testbed.core.base.errors import (
     MAX_LIST_WIDTH,
@@ -22,7 +21,7 @@ from testbed.core.base.errors import (
     count_with_noun,
     shortened_list,
 )
-from testbed.core.recordings.columns import check_columns, column_members
+from testbed.core.recordings.columns import check_columns
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.repeats import new_sample_mask, repeated_sample_share
 from testbed.core.recordings.source import gather_parts
@@ -33,13 +32,15 @@ from testbed.importing.import_report import ImportReport, SignalReport
 from testbed.importing.mapping import (
     AnyTable,
     BaseTable,
-    ForceSensorTable,
     Mapping,
-    SixAxisTable,
-    WrenchTable,
     read_mapping,
 )
 from testbed.importing.readers import open_foreign_table
+from testbed.importing.recording_columns import (
+    recording_metadata,
+    signal_columns,
+    used_columns,
+)
 from testbed.importing.resampling import (
     MIN_SIGNAL_SAMPLES,
     TIME_TOLERANCE,
@@ -48,14 +49,9 @@ from testbed.importing.resampling import (
     spline_to_common_rows,
 )
 from testbed.importing.signal_maps import (
-    base_pose_from_columns,
     check_units,
     continuous_quaternions,
-    effort_kinds,
-    joint_kinds,
-    joint_signal,
     torques_with_sign,
-    wrench_from_columns,
 )
 from testbed.importing.source_clock import (
     ClockReport,
@@ -240,7 +236,7 @@ def _recording_columns(
     for label, stream in streams.items():
         check_units(label, stream.table, stream.file)
         signal, name = samples[label], stream.table.source
-        terms = _signal_columns(
+        terms = signal_columns(
             mapping,
             label,
             resample_to_grid(signal.time, signal.values, signal.rate, grid),
@@ -255,18 +251,7 @@ def _recording_columns(
     reports = {label: signal.report for label, signal in samples.items()}
     reports |= check_derivatives(mapping, columns, reports)
     report = ImportReport(mapping.rate, len(grid), clocks, reports)
-    return columns, _recording_metadata(mapping, report)
-
-
-def _used_columns(mapping: Mapping) -> dict[str, list[str]]:
-    """Names of the columns that signals use, by source; RecordingError for an unused source."""
-    columns: dict[str, list[str]] = {}
-    for table in mapping.all_signal_tables.values():
-        columns.setdefault(table.source, []).extend(table.columns)
-    unused = [name for name in mapping.sources if name not in columns]
-    if unused:
-        raise RecordingError(f"sources.{unused[0]}: no signal is of it")
-    return columns
+    return columns, recording_metadata(mapping, report)
 
 
 def _open_source(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
@@ -277,7 +262,7 @@ def _open_source(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
         path = Path(os.path.normpath(path))
     table = open_foreign_table(path, source.topic)
     lengths = table.lengths
-    needed = [*_used_columns(mapping)[name], *([source.time] if source.time else [])]
+    needed = [*used_columns(mapping)[name], *([source.time] if source.time else [])]
     counts = {column: lengths[column] for column in needed if column in lengths}
     if len(set(counts.values())) > 1:
         pairs = ", ".join(
@@ -298,7 +283,7 @@ def _source_times(mapping: Mapping, name: str, table: ForeignTable) -> SourceTim
     """
     source = mapping.sources[name]
     if source.time is None:
-        column = table.time_stamps(_used_columns(mapping)[name][0])
+        column = table.time_stamps(used_columns(mapping)[name][0])
         time = SourceTimes(0.0, np.arange(len(column)) / (source.rate or mapping.rate))
     else:
         time = sample_times(
@@ -318,7 +303,7 @@ def _source_times(mapping: Mapping, name: str, table: ForeignTable) -> SourceTim
 def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
     """Complete samples of all signals, by label of the signal's table in the mapping."""
     files = {
-        name: _open_source(folder, mapping, name) for name in _used_columns(mapping)
+        name: _open_source(folder, mapping, name) for name in used_columns(mapping)
     }
     clocks = {name: _source_times(mapping, name, file) for name, file in files.items()}
     times = times_from_common_origin(
@@ -459,46 +444,3 @@ def _grid_times(
     return (
         first + np.arange(int(count + TIME_TOLERANCE * mapping.rate) + 1) / mapping.rate
     )
-
-
-def _signal_columns(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
-    """Columns of the recording from one signal's raw values on the grid."""
-    table = mapping.all_signal_tables[label]
-    signal, sensors = label, (label.removeprefix("sensors."),)
-    if isinstance(table, SixAxisTable):
-        values = wrench_from_columns(table, raw)
-        signal = "sensors" if isinstance(table, ForceSensorTable) else "wrench"
-    elif isinstance(table, BaseTable):
-        values = base_pose_from_columns(table, raw)
-    else:
-        values = joint_signal(label, table, mapping.gear, raw)
-    members = column_members(signal, tuple(mapping.joints), sensors)
-    return {f"{signal}/{member}": values[:, k] for k, member in enumerate(members)}
-
-
-def _recording_metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
-    """Metadata of the recording's file: tare, report, mapping and facts."""
-    metadata = {
-        "import": to_json_values(report),
-        "mapping": mapping.model_dump(mode="json", exclude_none=True),
-        "diagnostics": [each.as_dict() for each in report.diagnostics],
-        "sensors": {
-            name: {"link": each.link or name} for name, each in mapping.sensors.items()
-        },
-        "geometry": joint_kinds(mapping.position, mapping.joints),
-        "effort": effort_kinds(mapping),
-        "gravity": mapping.gravity,
-    }
-    plates = [
-        each
-        for each in mapping.wrench_and_base_tables.values()
-        if isinstance(each, WrenchTable)
-    ]
-    tares = [
-        t for each in plates if (t := each.static_wrench(mapping.gravity)) is not None
-    ]
-    tare = np.sum(tares, axis=0).tolist() if tares else None
-    return {
-        "tare": tare,
-        "facts": {name: value for name, value in metadata.items() if value},
-    }

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import (
+from testbed.applications.prediction import (
     joint_term_torque,
     longest_segment_motion,
     predicted_signals,

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import longest_segment_motion
+from testbed.applications.prediction import longest_segment_motion
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import json_text, to_json_values
 from testbed.core.base.errors import SettingsError, TestbedError

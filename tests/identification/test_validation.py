@@ -15,12 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import (
-    MAX_ERROR_RATIO,
-    longest_segment_motion,
-    predicted_signals,
-    validate,
-)
+from testbed.applications.prediction import longest_segment_motion, predicted_signals
+from testbed.applications.validate import MAX_ERROR_RATIO, validate
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.estimation.estimate import Estimate

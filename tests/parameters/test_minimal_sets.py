@@ -18,7 +18,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import joint_term_torque, longest_segment_motion
+from testbed.applications.prediction import joint_term_torque, longest_segment_motion
 from testbed.bodies.prior import MIN_PRIOR_MOMENT_RATIO, PriorBodies, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ModelError, UnknownName

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import longest_segment_motion
+from testbed.applications.prediction import longest_segment_motion
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.recordings.columns import check_times
 from testbed.core.recordings.formats import parquet

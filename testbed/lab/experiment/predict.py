@@ -9,12 +9,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from testbed.applications.validate import (
-    Z_95_PERCENT,
+from testbed.applications.prediction import (
     predicted_signals,
     prediction_variances,
     steady_joint_torque,
 )
+from testbed.applications.validate import Z_95_PERCENT
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.frames import data_frame

@@ -12,7 +12,8 @@ from testbed.applications.drives.identify_drives import (
     DriveIdentification,
     identify_drives,
 )
-from testbed.applications.validate import Validation, longest_segment_motion
+from testbed.applications.prediction import longest_segment_motion
+from testbed.applications.validate import Validation
 from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.posterior import Posterior
