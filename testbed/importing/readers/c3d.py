@@ -130,6 +130,21 @@ def _texts(group: str, name: str, groups: Parameters) -> list[str]:
     return [str(text).strip() for part in parts for text in part]
 
 
+def _eight_force_matrix(origin: Array) -> Array:
+    """Matrix from a type-3 plate's eight forces to the wrench at the plate's centre, (6, 8).
+
+    Args:
+        origin: Distances of the corner sensors from the centre along x and y, (3,) [m].
+    """
+    a, b, _ = np.abs(origin)
+    moments = [
+        [0, 0, 0, 0, b, b, -b, -b],
+        [0, 0, 0, 0, -a, a, a, -a],
+        [-b, b, a, -a, 0, 0, 0, 0],
+    ]
+    return np.vstack([np.repeat(np.eye(3), [2, 2, 4], axis=1), moments])
+
+
 def _plates(groups: Parameters, channels: Sequence[str]) -> Iterator[DescribedPlate]:
     """Force plates with six forces and moments (types 2 and 4) or eight forces (type 3).
 
@@ -152,14 +167,8 @@ def _plates(groups: Parameters, channels: Sequence[str]) -> Iterator[DescribedPl
         if kind == 4:
             matrix = platform["CAL_MATRIX"][:, :, k] * np.repeat([1, scale], 3)[:, None]
         elif kind == 3:
-            a, b, _ = np.abs(origin)
+            matrix = _eight_force_matrix(origin)
             numbers, origin = platform["CHANNEL"][:8, k], origin * [0, 0, 1]
-            moments = [
-                [0, 0, 0, 0, b, b, -b, -b],
-                [0, 0, 0, 0, -a, a, a, -a],
-                [-b, b, a, -a, 0, 0, 0, 0],
-            ]
-            matrix = np.vstack([np.repeat(np.eye(3), [2, 2, 4], axis=1), moments])
         names = tuple(channels[int(number) - 1] for number in numbers)
         rows = None if matrix is None else matrix.tolist()
         yield DescribedPlate(

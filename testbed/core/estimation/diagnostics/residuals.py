@@ -32,9 +32,15 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     Args:
         estimate: Estimate with its noise model.
     """
-    noise = estimate.noise
-    if noise is None:
-        return
+    if estimate.noise is not None:
+        yield from _encoder_diagnostics(estimate, estimate.noise)
+        yield from _plate_diagnostics(estimate, estimate.noise)
+
+
+def _encoder_diagnostics(
+    estimate: Estimate, noise: NoiseModel
+) -> Iterator[Diagnostic]:
+    """Diagnostics of encoder noise and encoder resolution."""
     if noise.noise_limited:
         yield make_diagnostic(
             "encoder.noise", shortened_list(noise.noise_limited), method=estimate.method
@@ -48,6 +54,10 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         yield make_diagnostic(
             "encoder.resolution", coarse, share, method=estimate.method
         )
+
+
+def _plate_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagnostic]:
+    """Diagnostics of a significant offset or drift of the plate that hides parameters."""
     hidden, verb = ", ".join(noise.hidden), "is" if len(noise.hidden) == 1 else "are"
     if noise.bias_chance <= SIGNIFICANCE_LEVEL:
         constants = zip(
