@@ -37,9 +37,7 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         yield from _plate_diagnostics(estimate, estimate.noise)
 
 
-def _encoder_diagnostics(
-    estimate: Estimate, noise: NoiseModel
-) -> Iterator[Diagnostic]:
+def _encoder_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagnostic]:
     """Diagnostics of encoder noise and encoder resolution."""
     if noise.noise_limited:
         yield make_diagnostic(

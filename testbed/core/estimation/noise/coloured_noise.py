@@ -40,7 +40,7 @@ from testbed.core.estimation.noise.noise_model import (
 from testbed.core.estimation.noise.replicas import Bootstrap, QuantizationSums
 from testbed.core.estimation.noise.whitening import (
     NuisanceColumns,
-    WhitenedProducts,
+    ProductsWithNoise,
     WhitenedRows,
     Whitening,
     whitening_of,
@@ -228,7 +228,7 @@ class GlsSolution:
     encoders: PositionNoise
     units: Whitening
     start: Array
-    products: WhitenedProducts
+    products: ProductsWithNoise
     average: AveragedFit
 
     @property

@@ -64,7 +64,7 @@ class WhitenedRows(NamedTuple):
     noise_columns: Array
 
 
-class WhitenedProducts(NamedTuple):
+class ProductsWithNoise(NamedTuple):
     """Lagged products of rows, and of the encoder noise in the rows.
 
     Attributes:
@@ -188,7 +188,7 @@ class Whitening:
         values: Array,
         lags: int,
         encoders: PositionNoise | None = None,
-    ) -> WhitenedProducts:
+    ) -> ProductsWithNoise:
         """Sum lagged products of columns, residuals and row indicators, in one pass.
 
         Args:
@@ -210,7 +210,7 @@ class Whitening:
             sums.add(np.concatenate([rows.columns, responses], axis=2))
             if noise_columns is not None:
                 noise_sums.add(self._noise_block(rows.noise_columns))
-        return WhitenedProducts(
+        return ProductsWithNoise(
             sums.lagged_products(),
             None if noise_columns is None else noise_sums.lagged_products(),
         )
