@@ -192,7 +192,7 @@ class PlateRange:
     def __post_init__(self) -> None:
         freeze_arrays(self, wrench=(6,))
         if self.half_lengths is not None:
-            freeze_arrays(self, half=(2,))
+            freeze_arrays(self, half_lengths=(2,))
         if not (self.wrench > 0).all() or (
             self.half_lengths is not None and not (self.half_lengths > 0).all()
         ):
