@@ -46,7 +46,7 @@ class PayloadOutputOptions:
         typer.Option(
             "--as",
             metavar="VENDOR",
-            help="Print it for a controller: ur, franka or kuka.",
+            help="Print the payload for a controller: ur, franka or kuka.",
         ),
     ] = None
     flange: Annotated[
@@ -156,7 +156,7 @@ def calibrate(
     loaded: Annotated[
         Path | None,
         typer.Option(
-            help="Of joint torques, with a payload: --known payload/mass=1.5."
+            help="Recording with a known payload, for joint torques: --known payload/mass=1.5."
         ),
     ] = None,
     joint: Annotated[
@@ -258,14 +258,14 @@ def drives(
     unseen: Annotated[
         Path | None,
         typer.Option(
-            help="With --write: another motion, whose torques drive the file in MuJoCo."
+            help="With --write: recording whose torques drive the written file in MuJoCo."
         ),
     ] = None,
     commands: Annotated[
         bool,
         typer.Option(
             "--commands",
-            help="Torques are commands: find the delay of the drives, too.",
+            help="Torques are commands: estimate the delay of the drives as well.",
         ),
     ] = False,
     friction: Annotated[

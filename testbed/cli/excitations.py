@@ -69,7 +69,7 @@ def excite(
         ),
     ] = None,
     rate: Annotated[
-        float, typer.Option(min=1e-3, help="Sampling rate of those [Hz].")
+        float, typer.Option(min=1e-3, help="Sampling rate of --trajectory [Hz].")
     ] = 1000.0,
     page: Annotated[
         Path | None,

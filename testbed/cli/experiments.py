@@ -46,7 +46,8 @@ def run(
     live: Annotated[
         bool,
         typer.Option(
-            "--live", help="Show it in an open viewer: rerun --bind 127.0.0.1"
+            "--live",
+            help="Show the recording in an open viewer: rerun --bind 127.0.0.1",
         ),
     ] = False,
     everything: Everything = False,
@@ -153,7 +154,7 @@ def campaign(
         bool, typer.Option("--dry-run", help="List cells, count runs.")
     ] = False,
     limit: Annotated[
-        int | None, typer.Option(min=1, help="At most so many runs.")
+        int | None, typer.Option(min=1, help="Largest number of runs.")
     ] = None,
     summary: Annotated[
         bool, typer.Option("--summary", help="Only summarise a campaign folder.")
@@ -161,7 +162,8 @@ def campaign(
     workers: Annotated[
         int | None,
         typer.Option(
-            min=0, help="Processes; default one per processor, 0: only this one."
+            min=0,
+            help="Number of processes; default one per processor; 0: none but this one.",
         ),
     ] = None,
 ) -> None:

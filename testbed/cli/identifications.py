@@ -184,7 +184,7 @@ def identify(
         bool,
         typer.Option(
             "--plain",
-            help="Of an imported recording: least squares, without the model file as prior.",
+            help="Least squares for an imported recording, without the model file as prior.",
         ),
     ] = False,
     timings: Timings = False,
@@ -382,9 +382,9 @@ def sample(
     ],
     *,
     count: Annotated[
-        int, typer.Option("-n", min=1, max=100_000, help="How many robots.")
+        int, typer.Option("-n", min=1, max=100_000, help="Number of robots.")
     ] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
     reading: Annotated[ReadingOptions, OptionFields("model", "settings")],
     fixed: FixedLinks = "lump",
     force: Force = False,

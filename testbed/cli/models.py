@@ -145,7 +145,7 @@ def minimal(
 @command()
 def equations(
     what: Annotated[
-        list[EquationName] | None, typer.Option(help="Which equations; repeatable.")
+        list[EquationName] | None, typer.Option(help="Equations to write; repeatable.")
     ] = None,
     form: Annotated[
         Form,
@@ -163,7 +163,10 @@ def equations(
     ],
     square: Annotated[
         bool,
-        typer.Option("--right-angles", help="Round almost right angles."),
+        typer.Option(
+            "--right-angles",
+            help="Round angles that are almost multiples of 90 degrees.",
+        ),
     ] = False,
     out: Annotated[
         Path | None, typer.Option(help="File to write; default the terminal.")
@@ -268,7 +271,7 @@ def _print_comparison(
 
 
 Kind = Annotated[
-    str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")
+    str | None, typer.Argument(metavar="KIND", help="Kind to describe, with its keys.")
 ]
 
 

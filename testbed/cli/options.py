@@ -250,9 +250,7 @@ Set = Annotated[
 ]
 Force = Annotated[
     bool,
-    typer.Option(
-        "--force", help="Replace files that are there.", rich_help_panel=OUTPUT
-    ),
+    typer.Option("--force", help="Replace existing files.", rich_help_panel=OUTPUT),
 ]
 Model = Annotated[
     Path,

@@ -56,14 +56,15 @@ def view(
         Path | None,
         typer.Option(
             callback=ending(".rrd"),
-            help="Only write this .rrd file; default RUN.rrd, and open it.",
+            help="Only write this .rrd file; default RUN.rrd, and open the viewer.",
         ),
     ] = None,
     serve: Annotated[
-        bool, typer.Option("--serve", help="Show it in a browser on this machine.")
+        bool,
+        typer.Option("--serve", help="Show the viewer in a browser on this machine."),
     ] = False,
     port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Of the page, with --serve.")
+        int, typer.Option(min=1, max=65535, help="Port of the page, with --serve.")
     ] = 9090,
     force: Force = False,
 ) -> None:
@@ -196,7 +197,7 @@ def report(
     consistent: ConsistentBodies = False,
     validate: Annotated[
         Path | None,
-        typer.Option(help="Another recording, for cross-validation."),
+        typer.Option(help="Another recording, for validation."),
     ] = None,
     force: Force = False,
 ) -> None:

@@ -135,7 +135,11 @@ class ReadingOptions:
     ] = False
     threads: Annotated[
         int | None,
-        typer.Option(min=1, help="Default: one per processor.", rich_help_panel=OUTPUT),
+        typer.Option(
+            min=1,
+            help="Number of processes; default one per processor.",
+            rich_help_panel=OUTPUT,
+        ),
     ] = None
     sensors: Mapping[str, Any] = field(default_factory=dict)
     """Force sensors of the recording by name."""

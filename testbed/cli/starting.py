@@ -102,7 +102,8 @@ def new(
         typer.Option(help="A logger's file instead: writes a mapping; repeatable."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="File to write; default NAME.toml here.")
+        Path | None,
+        typer.Option(help="File to write; default NAME.toml in this folder."),
     ] = None,
     strict: Annotated[
         bool,

@@ -46,7 +46,7 @@ def tool(
         bool,
         typer.Option(
             "--at-rest",
-            help="FILE is a table, a row a static pose: joint positions and Fx ... Mz.",
+            help="FILE is a table of static poses: joint positions and Fx ... Mz in each row.",
         ),
     ] = False,
     degrees: Annotated[

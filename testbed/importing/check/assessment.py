@@ -94,7 +94,7 @@ class Assessment(Diagnosed):
             identifiable, (n,) or (0,).
         remedies: Corrections of the mapping, to be applied together; empty if nothing is wrong.
         equivalent_explanations: Descriptions of alternative explanations that fit the recording
-            equally well.
+            equally well: penalised costs within `MIN_HYPOTHESIS_GAIN` of the best.
         explanation_as_read: Explanation of the force plate as read; None without a force plate.
         best_explanation: Best explanation of the force plate; None without a force plate.
         verdict: Result from the torques of a recording without a force plate; None if nothing can
@@ -138,8 +138,8 @@ class Assessment(Diagnosed):
         """Raise an error if the recording certainly contradicts the robot.
 
         Args:
-            align: True if clocks are corrected afterwards: a plate that is only late is then
-                accepted.
+            align: True if clocks are corrected afterwards: a single error whose only remedy is a
+                delay of the force plate is then accepted.
 
         Raises:
             RecordingError: The recording contradicts the robot; the message lists errors and
@@ -159,9 +159,13 @@ def assess_recording(
 ) -> Assessment:
     """Check a recording against its robot, by force plate and joint torques.
 
+    Spikes end the check. With a force plate, hypotheses on errors of the mapping are searched on
+    signals below 8 Hz, and below 2 Hz if the plate remains unexplained. Torques without a force
+    plate are compared by Bayesian evidence (`assess_torques`).
+
     Args:
-        tree: Robot, its masses right within a factor of a few; not used for estimates.
-        source: Recording.
+        tree: Robot, its masses right within a factor of a few.
+        source: Recording; at most its middle `MAX_CHECKED_SAMPLES` samples are checked.
         progress: Called with the number of fitted hypotheses.
 
     Raises:
@@ -215,6 +219,10 @@ def _plate_assessment(
     faults: Sequence[ChannelFault],
 ) -> Assessment:
     """Assessment of a recording with a force plate, from signals below a cutoff.
+
+    The mapping is wrong if the best explanation gains more than 6 nats over the plate as read: a
+    warning, or an error above 12 nats if the improved channels are then explained well. Joint
+    torques test the signs of positions, which may leave the plate's cost equal.
 
     Args:
         tree: Robot.
@@ -301,7 +309,11 @@ def _torque_assessment(
     range_diagnostics: Sequence[Diagnostic],
     faults: Sequence[ChannelFault],
 ) -> Assessment:
-    """Assessment of a recording of joint torques without a force plate."""
+    """Assessment of a recording of joint torques without a force plate.
+
+    A recording at rest, or with fewer than `MIN_INSTANTS` instants, is not tested further.
+    Diagnostics of positions out of range are left out if a remedy is found.
+    """
     instants = low_passed_instants(part)
     if instants is None:
         return Assessment(tuple(range_diagnostics))
@@ -327,7 +339,10 @@ def _torque_assessment(
 def _torques_with_plate_bodies(
     tree: Tree, part: Recording, best: Explanation, faults: Sequence[ChannelFault]
 ) -> TorqueAssessment:
-    """Assessment of the torques, with positions and bodies as identified by the force plate."""
+    """Assessment of the torques, with positions and bodies as identified by the force plate.
+
+    The posterior of the bodies given the plate is the prior. Empty without torques.
+    """
     if part.torque is None:
         return TorqueAssessment()
     offset = position_offset(tree, part.metadata.mapping or {})
@@ -340,7 +355,11 @@ def _torques_with_plate_bodies(
 
 
 def _doubtful_joints(torques: TorqueAssessment) -> list[int]:
-    """Indices of joints whose position sign, not torque sign, may be reversed."""
+    """Indices of joints whose position sign, not torque sign, may be reversed.
+
+    Joints with an accepted hypothesis `torque_sign`, or more than 10 % of the torque's variance
+    unexplained; empty if the torques are right as given.
+    """
     verdict = torques.verdict
     if verdict is None or verdict.outcome == "as given":
         return []
@@ -352,7 +371,12 @@ def _doubtful_joints(torques: TorqueAssessment) -> list[int]:
 
 
 def _torque_gain(other: TorqueAssessment, torques: TorqueAssessment) -> float:
-    """Log evidence ratio of torques under other positions over corrected torques [nats]."""
+    """Log posterior ratio of torques under other positions to torques as corrected [nats].
+
+    Args:
+        other: Assessment under the other positions; -inf unless its torques are right as given.
+        torques: Assessment under the present positions, with its corrections of torques.
+    """
     if other.verdict is None or other.verdict.outcome != "as given":
         return -np.inf
     assert torques.verdict is not None
@@ -370,7 +394,12 @@ def _with_fitted_delay(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
 
 
 def _explains_well(as_read: Explanation, best: Explanation) -> bool:
-    """Test whether all channels that an explanation improves are explained well."""
+    """Test whether all channels that an explanation improves are explained well.
+
+    Improved: the unexplained share falls by more than a factor of 4, from above 3 times the noise
+    share. Explained well: below 0.4 plus 3 times the noise share. False without improved channels.
+    With a shift of the frame, channels below 0.4 as read count as improved.
+    """
     before, after = as_read.plate.unexplained, best.plate.unexplained
     noise = best.plate.noise
     improved = (before > MIN_IMPROVEMENT * after) & (
@@ -388,7 +417,10 @@ def _explains_well(as_read: Explanation, best: Explanation) -> bool:
 def zero_hypothesis(
     best: Explanation, tare: Array | None, min_shift: float = MIN_ZERO_SHIFT
 ) -> Hypothesis | None:
-    """Hypothesis of another zero of the force plate; None if the change is not significant.
+    """Hypothesis that the force plate's zero differs from the stated one; None if insignificant.
+
+    A component differs by more than `min_shift` times the robot's weight (moments: at a lever of
+    1 m) and more than 5 standard deviations; the others keep their stated values.
 
     Args:
         best: Best explanation of the recording; with a wrench.
@@ -414,6 +446,9 @@ def _equivalent_descriptions(
     tree: Tree, explanations: Sequence[Explanation]
 ) -> Iterator[str]:
     """Yield descriptions of alternative explanations with a similar penalised cost.
+
+    Similar: less than `MIN_HYPOTHESIS_GAIN` above the best. A plate turned about the axis of the
+    only root joint is equivalent to another zero of this joint.
 
     Args:
         tree: Robot.

@@ -101,16 +101,21 @@ def check_recording(
 ) -> CheckReport:
     """Check a recording against its robot, unless a stored result is still valid.
 
+    A result in the recording's metadata is valid if the `digest` of data, mapping and robot is the
+    same. Delays of torques and wrench are estimated after the search for errors.
+
     Args:
         tree: Robot, its masses right within a factor of a few.
         source: Recording.
-        align: True if clocks are corrected afterwards: a plate that is only late is then accepted.
+        align: True if clocks are corrected afterwards: a force plate whose only error is a delay is
+            then accepted.
         unchecked: True to accept the recording without the search for errors.
         progress: Called with the number of fitted hypotheses.
         prepared: Results already known for the recording.
 
     Raises:
-        RecordingError: The recording contradicts this robot; the message lists corrections.
+        RecordingError: The recording contradicts this robot; the message lists corrections. Or the
+            base moves in the recording, but is welded in the model.
     """
     source = adapt_to_robot(source, tree)
     diagnostics = [] if tree.floating else [*_base_motion_diagnostics(source)]
@@ -148,7 +153,10 @@ def check_recording(
 
 
 def _base_motion_diagnostics(source: Source) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if the base moves although the robot's base is welded."""
+    """Yield a diagnostic if the base of a robot with a welded base moves by over 5 mm.
+
+    The motion is the diagonal of the box that contains all positions of the base.
+    """
     if "base" not in source.signals:
         return
     base = middle_part(source, MAX_CHECKED_SAMPLES).measured("base")
@@ -167,6 +175,9 @@ def import_and_check(
     prepared: PreparedRecordings | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:
     """Import the recordings of a mapping file and check the longest against its robot.
+
+    The result is stored in the metadata of the longest recording, unless `unchecked`. With `align`,
+    the files are read again by a mapping with significant delays and drifts corrected.
 
     Args:
         path: Mapping file.
@@ -231,7 +242,7 @@ def _alignment_lines(offsets: Sequence[TimeOffset], source: Source) -> list[Any]
 
 
 def digest(tree: Tree, source: Source) -> str:
-    """Hash of the data, mapping and robot on which the result of a check depends.
+    """SHA-256 hash of the data, mapping and robot on which the result of a check depends.
 
     Args:
         tree: Robot.

@@ -35,7 +35,8 @@ class Delay(NamedTuple):
     Attributes:
         value: Delay [s].
         sigma: Standard deviation [s].
-        is_significant: True if the delay is significant and most joints have its sign.
+        is_significant: True if the delay exceeds 3 standard deviations and has the sign of at least
+            3 and 70 % of the estimates (two per joint).
     """
 
     value: float
@@ -45,6 +46,9 @@ class Delay(NamedTuple):
 
 def delay_readings(case: TorqueCase) -> Iterator[LogReading]:
     """Yield the likeliest delay and the likeliest first-order lag of all torques.
+
+    Each candidate of `DELAYS` or `LAGS` is removed from the torques of all joints; the candidate
+    with the largest log evidence is yielded.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -84,14 +88,15 @@ def _corrected_torques(case: TorqueCase, kind: str, value: float) -> Array:
 
 
 def common_delay(case: TorqueCase, reading: LogReading) -> Delay:
-    """Random-effects mean of the joints' delays [s].
+    """Random-effects mean of the joints' delays, or of the time constants of their lags [s].
 
-    Each joint's delay is estimated in both halves of the log: model errors look like delays, too
-    (1.5 % of a speed of 1 rad/s like 15 ms), but not equal ones at all joints.
+    Each joint's delay is estimated in both halves of the log, at the maximum of the likelihood over
+    the candidates: model errors look like delays, too (1.5 % of a speed of 1 rad/s like 15 ms), but
+    not equal ones at all joints.
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        reading: Reading with delayed or low-passed torques.
+        reading: Reading with delayed torques (kind "delay") or low-passed ones ("lag").
     """
     candidates = np.sort(np.append(LAGS if reading.kind == "lag" else DELAYS, 0.0))
     halves = np.array_split(np.arange(len(case.signals.sample_indices)), 2)
@@ -118,10 +123,12 @@ def common_delay(case: TorqueCase, reading: LogReading) -> Delay:
 def _random_effects(value: Array, sigma: Array, attempts: int) -> Delay:
     """Random-effects mean of delays, and the standard deviation of this mean [DL86].
 
+    With fewer than two estimates, zero with an infinite standard deviation.
+
     Args:
         value: Estimated delays, (k,) [s].
         sigma: Standard deviations of the estimates, (k,) [s].
-        attempts: Number of estimates attempted, at least k.
+        attempts: Number of estimates attempted, at least k: 70 % must have the mean's sign.
     """
     if len(value) < 2:
         return Delay(0.0, np.inf, is_significant=False)
@@ -140,6 +147,9 @@ def _random_effects(value: Array, sigma: Array, attempts: int) -> Delay:
 
 def _peak(grid: Array, log: Array) -> tuple[float, float]:
     """Maximum of a log likelihood by a parabola, and standard deviation from its curvature.
+
+    The parabola passes through the largest value and its neighbours on the grid; the standard
+    deviation is infinite if the parabola has no maximum.
 
     Args:
         grid: Parameter values, (k,).

@@ -45,7 +45,13 @@ quantile of the chi-squared distribution with three degrees of freedom."""
 def with_clocks(
     draft: MappingDraft, source: Source, offsets: Sequence[TimeOffset]
 ) -> MappingDraft:
-    """Draft with significant delays and drifts of clocks."""
+    """Draft with significant delays and drifts of clocks corrected.
+
+    Args:
+        draft: Draft of the mapping.
+        source: Recording made by this draft.
+        offsets: Estimated delays and drifts; others than significant ones change nothing.
+    """
     content = draft.content
     for each in offsets:
         for table, key, value in alignment_lines(each, content, source.metadata.report):
@@ -62,7 +68,17 @@ def with_clocks(
 def with_delay(
     draft: MappingDraft, signal: str, delay: float, sigma: float
 ) -> MappingDraft:
-    """Draft with a signal's delay [s], or the offset of its separate clock."""
+    """Draft with a signal's delay [s], or the offset of its separate clock.
+
+    For a source other than the positions', the delay is subtracted from the source's `offset`, and
+    the signal's key `delay` is removed.
+
+    Args:
+        draft: Draft of the mapping.
+        signal: Table of the signal.
+        delay: Delay, which replaces a stated one [s].
+        sigma: Standard deviation, for the note [s].
+    """
     source = draft.tables[signal]["source"]
     table, key, value = signal, "delay", round(delay, 7)
     if source != draft.tables["position"]["source"]:
@@ -75,7 +91,16 @@ def with_delay(
 
 
 def with_plate_correction(draft: MappingDraft, best: Explanation) -> MappingDraft:
-    """Draft with frame, delay and zero of a plate as determined by the data."""
+    """Draft with frame, delay and zero of a plate as determined by the data.
+
+    Corrections are estimated by `PlateEvidence.frame_correction`; angles are rounded to multiples
+    of 90, 45, 30 or 15 deg if consistent with the data. A plate with the positions' clock gets a
+    delay only beyond 4 standard deviations. The ratio of units is only noted.
+
+    Args:
+        draft: Draft of the mapping.
+        best: Explanation of the recording made by this draft.
+    """
     table = draft.tables.get("wrench")
     if table is None:
         return draft
@@ -114,7 +139,15 @@ def with_plate_correction(draft: MappingDraft, best: Explanation) -> MappingDraf
 def _with_place(
     draft: MappingDraft, rotation: Array, xyz: Array, rpy: Sequence[float], sigma: Array
 ) -> MappingDraft:
-    """Draft with a plate's origin and rounded angles, with a note on their uncertainty."""
+    """Draft with a plate's origin and rounded angles, with a note on their uncertainty.
+
+    Args:
+        draft: Draft of the mapping.
+        rotation: Rotation matrix from the sensor frame to the bedplate frame, (3, 3).
+        xyz: Origin of the sensor frame in the bedplate frame, (3,) [m].
+        rpy: Rounded roll, pitch and yaw of the sensor frame [rad].
+        sigma: Standard deviations of the corrections of a map, (8,).
+    """
     angles, angle_errors = (
         np.rad2deg(matrix_to_rpy(rotation)),
         np.rad2deg(sigma[ROTATION_INDICES]),
@@ -136,7 +169,11 @@ def _with_place(
 
 
 def with_plate_zero(draft: MappingDraft, best: Explanation) -> MappingDraft:
-    """Draft with the wrench on the plate without the robot, if significant."""
+    """Draft with the wrench on the plate without the robot as `tare`, if significant.
+
+    Significant: a component differs from the stated tare, or else from the model's pedestal, by
+    more than 5 standard deviations.
+    """
     table = MappingFile.model_validate(draft.content).wrench
     zero = (
         None
@@ -150,14 +187,27 @@ def with_plate_zero(draft: MappingDraft, best: Explanation) -> MappingDraft:
 
 
 def with_tare(draft: MappingDraft, tare: list[float], note: str) -> MappingDraft:
-    """Draft with the wrench on the plate without the robot, pedestal included."""
+    """Draft with a `tare`, which replaces the statement that the pedestal is included.
+
+    Args:
+        draft: Draft of the mapping.
+        tare: Wrench on the plate without the robot, pedestal included, (6,) [N, N m].
+    """
     included = draft.tables["wrench"].get("pedestal") == "included"
     draft = draft.with_key("wrench", "pedestal", None) if included else draft
     return draft.with_key("wrench", "tare", tare, note)
 
 
 def _rounded_angles(rotation: Array, covariance: Array) -> Sequence[float]:
-    """Roll, pitch and yaw, rounded to common steps if consistent with the covariance."""
+    """Roll, pitch and yaw [rad], rounded to common steps if consistent with the covariance.
+
+    The largest of the steps 90, 45, 30 and 15 deg is taken whose rotation is within the 99.7 %
+    ellipsoid.
+
+    Args:
+        rotation: Rotation matrix, (3, 3).
+        covariance: Covariance of its rotation vector, (3, 3) [rad^2].
+    """
     rpy = matrix_to_rpy(rotation)
     for step in ANGLE_STEPS:
         rounded = [round(angle / step) * step for angle in rpy]

@@ -28,7 +28,7 @@ def draft_mapping(
     """Draft a mapping file from column names, and reduce the robot to logged joints.
 
     A floating root is welded unless the model file states otherwise. Joints without a column are
-    locked.
+    locked at their rest position; none are locked if the columns' joints are not the robot's.
 
     Args:
         paths: Files of other programs.
@@ -70,6 +70,8 @@ def draft_mapping(
 
 def missing_keys(draft: MappingDraft) -> list[str]:
     """Empty keys of a mapping file, which the user must fill in.
+
+    These include clocks without a `rate`, and `position` if this table is missing.
 
     Args:
         draft: Draft of a mapping.

@@ -55,13 +55,19 @@ class Explanation:
 
     @property
     def penalised_cost(self) -> float:
-        """Negative log likelihood plus the penalties of the hypotheses [nats]."""
+        """Negative log likelihood plus the penalties of the hypotheses [nats].
+
+        Each hypothesis costs `MIN_HYPOTHESIS_GAIN` in addition to the penalty of its kind.
+        """
         penalties = sum(each.penalty for each in self.hypotheses)
         return self.cost + penalties + MIN_HYPOTHESIS_GAIN * self.hypothesis_count
 
     @property
     def hypothesis_count(self) -> int:
-        """Number of hypotheses, with signs and zeros of single joints counted separately."""
+        """Number of hypotheses, with signs and zeros of single joints counted separately.
+
+        A sign or zero of all joints together counts as one.
+        """
         joint_count = len(joints_without_free_base(self.fit.prior.tree))
         joint_kinds = ("position_sign", "zero")
         return sum(
@@ -98,7 +104,7 @@ class HypothesisFit:
         hypotheses: tuple[Hypothesis, ...],
         instants: Instants,
     ) -> None:
-        """Compute the regressor rows of the wrench.
+        """Compute the regressor of the wrench with respect to all barycentric parameters.
 
         Args:
             prior: Prior of the robot's parameters.

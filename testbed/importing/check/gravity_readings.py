@@ -59,6 +59,10 @@ def tangent_basis(direction: Array) -> Array:
 def gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
     """Yield readings with another direction or magnitude of gravity.
 
+    First without gravity; then with the directions of locally maximal evidence, the likeliest first
+    and more than 3 deg apart; last with a part of the stated gravity. Robots with many joints:
+    gravity along the base axes alone (`_axis_readings`).
+
     Args:
         case: Joint torques of a log, with robot and prior.
     """
@@ -88,7 +92,10 @@ def gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def _axis_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Yield readings with gravity along each base axis, and without gravity."""
+    """Yield readings without gravity, and with gravity along each base axis.
+
+    Axes within 3 deg of the stated gravity are left out.
+    """
     directions = {"no gravity": np.zeros(3)} | GRAVITY_DIRECTIONS
     for kind, direction in directions.items():
         gravity = direction * case.gravity_magnitude
@@ -107,7 +114,16 @@ def _axis_readings(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def _start_vectors(case: TorqueCase, none: Evidence) -> Iterator[Array]:
-    """Yield start vectors of the direction search: stated gravity, linear solution, two axes."""
+    """Yield start vectors of the direction search: stated gravity, linear solution, two axes.
+
+    All have the magnitude of the stated gravity [m/s^2]. The linear solution is one Gauss-Newton
+    step from zero gravity; the two base axes have the largest evidence. Gravity along -z replaces
+    a stated gravity of zero.
+
+    Args:
+        case: Joint torques of a log, with robot and prior.
+        none: Evidence without gravity.
+    """
     products = case.products
     yield (
         case.gravity
@@ -178,7 +194,9 @@ def _optimal_gravity(
 def _line_search(
     case: TorqueCase, gravity: Array, estimate: Evidence, step: Array, free: str
 ) -> tuple[Array, Evidence]:
-    """Backtracking line search along a step of gravity.
+    """Backtracking line search along a step of gravity; returns gravity and its evidence.
+
+    The step is divided by three, up to three times, until the evidence does not decrease.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -218,8 +236,15 @@ def _direction_reading(
 ) -> LogReading:
     """Reading with another direction of gravity, classified by its likeliest prior.
 
-    Laplace approximation: the log odds contain the prior density at the direction and the posterior
-    volume.
+    Priors: a tilt from the stated gravity or a mounting, each with 4 deg standard deviation, or an
+    inclined base, uniform over the sphere. Laplace approximation: the log odds contain the prior
+    density at the direction and the posterior volume.
+
+    Args:
+        case: Joint torques of a log, with robot and prior.
+        gravity: Gravity of locally maximal evidence, (3,) [m/s^2].
+        estimate: Evidence under this gravity.
+        information: Information of gravity, (3, 3) [s^4/m^2].
     """
     size = case.gravity_magnitude
     direction = gravity / size
@@ -252,7 +277,10 @@ def _direction_reading(
 
 
 def _partial_gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Yield the reading in which only a part of gravity is in the torques."""
+    """Yield the reading in which only a part of gravity is in the torques.
+
+    The part is fitted; it must be between -0.1 and 0.9, with a standard deviation below 0.2.
+    """
     gravity, estimate, information = _optimal_gravity(case, 0.5 * case.gravity, "size")
     ratio = float(gravity @ case.gravity) / case.gravity_magnitude**2
     sigma = 1 / np.sqrt(max(float(case.gravity @ information @ case.gravity), 1e-12))
@@ -263,7 +291,9 @@ def _partial_gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def rounded_to_axis(reading: LogReading) -> LogReading:
-    """Reading with gravity rounded to a base axis within its uncertainty.
+    """Reading with gravity rounded to the nearest base axis, if within its uncertainty.
+
+    Within: an angle of at most 0.5 deg or 2 standard deviations, whichever is larger.
 
     Args:
         reading: Reading of gravity's direction, with its standard deviations.
@@ -287,7 +317,8 @@ def with_dispersion(case: TorqueCase, reading: LogReading) -> LogReading:
     """Reading with standard deviations increased by the dispersion between joints.
 
     Jackknife: the direction estimated without each joint is compared with the direction from all
-    joints.
+    joints. The variance is multiplied by 1.6 times the mean normalised square of these shifts, or by
+    1.6 if that mean is below one.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -316,7 +347,14 @@ def with_dispersion(case: TorqueCase, reading: LogReading) -> LogReading:
 def _jackknife_shift(
     case: TorqueCase, reading: LogReading, tangents: Array, channel: int
 ) -> tuple[Array, Array]:
-    """Shift of gravity without one channel, (2,) [rad], and remaining information, (2, 2)."""
+    """Shift of gravity without one channel, (2,) [rad], and remaining information, (2, 2).
+
+    Args:
+        case: Joint torques of a log, with robot and prior.
+        reading: Reading of gravity's direction from all channels.
+        tangents: Derivatives of gravity with respect to two angles, (3, 2) [m/s^2].
+        channel: Index of the torque channel that is left out.
+    """
     products, gravity = reading.products, reading.gravity
     for _ in range(3):
         inputs = products.products(gravity, reading.measured).without_channel(channel)

@@ -46,8 +46,9 @@ class Instants:
     """Signals at T instants of a recording.
 
     Attributes:
-        motion: Joint positions, velocities and accelerations.
-        wrench: Wrench, (T, 6) [N, N m]; (T, 0) without a force plate.
+        motion: Low-passed joint positions, velocities and accelerations.
+        wrench: Low-passed wrench on the robot in the bedplate frame, (T, 6) [N, N m]; (T, 0)
+            without a force plate.
         wrench_rate: Time derivative of the wrench, (T, 6) [N/s, N m/s], or (T, 0).
         wrench_noise: Noise variance of the low-passed wrench, from the octave above the cutoff,
             (6,) or (0,).
@@ -65,6 +66,9 @@ def low_passed_instants(
     recording: Recording, wrench_delay: float = 0.0, cutoff: float = CUTOFF
 ) -> Instants | None:
     """Low-passed signals at a few hundred instants; None for too short a recording.
+
+    Instants are equidistant, at most 320, and at most two per period of the cutoff; fewer than 20
+    are too few.
 
     Args:
         recording: Recording of M samples.
@@ -112,7 +116,7 @@ def middle_part(source: Source, samples: int) -> Recording:
 def low_passed_motion(
     recording: Recording, taps: Array, at: slice | NDArray[np.intp], spacing: float
 ) -> Motion:
-    """Low-passed positions with derivatives at some instants.
+    """Low-passed positions with velocities and accelerations at selected samples.
 
     Args:
         recording: Recording of M samples.
@@ -191,7 +195,7 @@ def estimated_delay(
 
 
 def _noise_variance(signal: Array, low_pass: Array, wider: Array) -> Array:
-    """Variance of a signal in the octave above the low-pass filter, without motion, (C,).
+    """Variance of a signal in the octave above the low-pass cutoff, taken as noise, (C,).
 
     Args:
         signal: Signal, (M, C).

@@ -2,7 +2,7 @@
 
 Open values are set to usual ones, the recording is made, and the mapping is corrected by the
 assessment until it finds no error. Then the clocks are aligned (`time_offset`), and the plate's
-frame is refined (`correction`). A note beside each value states its origin.
+frame is refined (`draft_corrections`). A note beside each value states its origin.
 """
 
 from __future__ import annotations
@@ -106,6 +106,10 @@ def solve_mapping(
 ) -> MappingSolution:
     """Solve the open values of a mapping from column names and data.
 
+    Open values get usual ones; the recording is made and assessed, and the mapping corrected, up to
+    four times. Then clocks are aligned and the plate's frame is refined. Errors are returned in the
+    solution. A draft with missing keys is returned with usual values only.
+
     Args:
         draft: Draft of the mapping by column names.
         out: Path of the mapping file; files are relative to its folder.
@@ -168,7 +172,13 @@ def _checked_mapping(draft: MappingDraft, out: Path) -> MappingFile:
 def _assess_draft(
     draft: MappingDraft, out: Path, tree: Tree, progress: Progress | None
 ) -> tuple[MappingDraft, PreparedRecordings, Assessment]:
-    """Correct a draft by derivatives, make its recordings, and assess the longest."""
+    """Correct a draft by derivatives, make its recordings, and assess the longest.
+
+    Positions that contradict measured velocities or accelerations correct units, signs and orders.
+
+    Raises:
+        DerivativeError: The contradiction has no correction.
+    """
     try:
         prepared = PreparedRecordings(
             *import_recordings(out, _checked_mapping(draft, out))
@@ -187,7 +197,11 @@ def _assess_draft(
 
 
 def _with_usual_values(draft: MappingDraft, tree: Tree) -> MappingDraft:
-    """Draft with usual units, gains and senses for all open values."""
+    """Draft with usual units, gains and senses for all open values, with notes "ASSUMED".
+
+    Units are `USUAL_UNITS` by type of joint; gains of torques 1 N m; wrenches in N and N m, acting
+    on the robot.
+    """
     sliding = {joint.name for joint in tree.joints if not joint.revolute}
     joints = draft.tables[""]["joints"]
     for kind, (turns, slides) in USUAL_UNITS.items():
@@ -220,7 +234,10 @@ def _with_usual_values(draft: MappingDraft, tree: Tree) -> MappingDraft:
 
 
 def _with_common_start(draft: MappingDraft, out: Path) -> MappingDraft:
-    """Draft in which the clocks of files with little overlap start together."""
+    """Draft in which the clocks of files with little overlap start together with the positions.
+
+    Little: the common duration with the positions is below 90 % of the shorter of both files.
+    """
     mapping = _checked_mapping(draft, out)
     ranges = source_time_ranges(mapping, out.parent)
     position_source = mapping.position.source
@@ -236,7 +253,11 @@ def _with_common_start(draft: MappingDraft, out: Path) -> MappingDraft:
 def _improved_draft(
     draft: MappingDraft, assessment: Assessment, tree: Tree
 ) -> MappingDraft:
-    """Draft corrected by the assessment; the same object if no error is found."""
+    """Draft corrected by the assessment; the same object if nothing is to be corrected.
+
+    Without a stated `tare`, the plate's zero or pedestal is solved first; then the remedies are
+    applied; without remedies, the unit or gains of torques are solved.
+    """
     codes, best = {each.code for each in assessment.errors}, assessment.best_explanation
     plate = draft.tables.get("wrench", {"tare": None})
     if best is not None and "tare" not in plate:
@@ -257,7 +278,12 @@ def _improved_draft(
 def _with_torque_scale(
     draft: MappingDraft, assessment: Assessment, tree: Tree
 ) -> MappingDraft:
-    """Draft with the unit or the gains of torques, by their size."""
+    """Draft with the unit or the gains of torques, by their size.
+
+    The size is the median ratio to the torques of the model file's masses. An assumed unit becomes
+    N mm for ratios of 500 to 2000, and raw (currents) for ratios below 1, if an error is diagnosed.
+    Gains equal to 1 are replaced by the inverse ratios.
+    """
     best, finite = (
         assessment.best_explanation,
         assessment.torque_scales[np.isfinite(assessment.torque_scales)],
@@ -287,7 +313,7 @@ def _with_gains(
 
     Args:
         draft: Draft of the mapping.
-        sizes: Columns relative to the joints' torques, (n,); nan if unknown.
+        sizes: Columns relative to the joints' torques, (n,); nan if unknown, then the median.
         tree: Robot.
         origin: Origin of the sizes: "plate" or "model".
     """
@@ -304,7 +330,13 @@ def _with_gains(
 def _with_pedestal(
     draft: MappingDraft, masses: tuple[float, float, float]
 ) -> MappingDraft:
-    """Draft that states whether a plate's reading contains the pedestal, by masses."""
+    """Draft that states whether a plate's reading contains the pedestal, by masses.
+
+    Args:
+        draft: Draft of the mapping.
+        masses: Masses of the robot if the reading contains the pedestal, if not, and by the model
+            file [kg].
+    """
     included, without, file = masses
     value = "removed" if is_pedestal_removed(*masses) else "included"
     note = (
@@ -350,7 +382,10 @@ def _with_rate_units(draft: MappingDraft, unit: str | list[str]) -> MappingDraft
 def _with_data_notes(
     draft: MappingDraft, best: Explanation, doubts: Sequence[Diagnostic]
 ) -> MappingDraft:
-    """Draft with notes on assumed values that a plate's data confirm."""
+    """Draft with notes on assumed values that a plate's data confirm.
+
+    Unchanged if a diagnostic is a warning; the gain of torques is not confirmed by a plate.
+    """
     if any(each.level == "warning" for each in doubts):
         return draft
     unexplained = percentage(best.plate.unexplained.max())
@@ -365,7 +400,10 @@ def _with_data_notes(
 
 
 def _length_diagnostics(tree: Tree, assessment: Assessment) -> Iterator[Diagnostic]:
-    """Yield a diagnostic for a recording too short for its number of parameters."""
+    """Yield a diagnostic for a recording too short for its number of parameters.
+
+    Too short: at most 10 values (channels times instants) per minimal parameter of the wrench.
+    """
     parameters = minimal_set(tree, "wrench").count
     if assessment.best_explanation is not None:
         instants = assessment.best_explanation.fit.instants
@@ -385,7 +423,7 @@ def _length_diagnostics(tree: Tree, assessment: Assessment) -> Iterator[Diagnost
 
 
 def _with_doubtful_notes(draft: MappingDraft) -> MappingDraft:
-    """Draft in which solved values are marked as assumed."""
+    """Draft in which solved values are marked as assumed in their notes."""
     notes = {
         place: f"{ASSUMED_NOTE} ({note})"
         if note.startswith(NOTE_PREFIXES[1:])
