@@ -40,12 +40,15 @@ class Analysis:
     """Estimates of a robot's parameters from one recording.
 
     Attributes:
-        estimates: Estimate by signal; only signals that determine the parameters.
-        failures: Error by signal, where there is no estimate.
-        posterior: Estimates with the model file's bodies as prior, by signal; for imported
-            recordings only.
-        bodies: Physically consistent bodies; None if not requested, or failed.
-        bodies_failure: Error of the fit of consistent bodies; None without failure.
+        estimates: Least-squares estimate by signal ("wrench", "torque"); only signals that
+            determine the parameters.
+        failures: Error by signal, for requested signals without an estimate.
+        posterior: Estimates with the model file's bodies as prior, by signal; only for imported
+            recordings, then also for signals whose data leave parameters undetermined.
+        bodies: Physically consistent bodies fitted to all estimates together; None if not
+            requested, without any estimate, or if the fit failed.
+        bodies_failure: Error of the fit of consistent bodies; None if the fit succeeded or was not
+            made.
     """
 
     estimates: Mapping[Signal, Estimate]
@@ -69,6 +72,9 @@ def analyse(
     progress: Progress = ignore_progress,
 ) -> Analysis:
     """Identify the robot by each requested signal, then fit posteriors and consistent bodies.
+
+    A `RecordingError`, `UnidentifiableParameters`, or error of the fit of bodies is stored in the
+    result, not raised. Posteriors are computed for imported recordings only.
 
     Args:
         tree: The robot.

@@ -58,9 +58,10 @@ class Calibration:
 
     @property
     def doubt(self) -> CalibrationCovariance:
-        """Covariance of the coefficients that apply to other recordings, too.
+        """Covariance of the coefficients that apply to other recordings, too, as a square root.
 
-        Coefficients that belong to a single recording, as the zero offset, are omitted.
+        Coefficients that belong to a single recording, as the zero offset, are omitted. Without a
+        correlation matrix the coefficients are independent.
         """
         recording_terms = {
             error.term for error in estimable_errors() if error.of_one_recording
@@ -81,14 +82,17 @@ class Calibration:
 
     @property
     def matrix(self) -> Array:
-        """Sensitivity matrix of the plate, (6, 6): reading = matrix @ wrench + bias."""
+        """Sensitivity matrix of the plate, (6, 6): reading = matrix @ wrench + bias.
+
+        Elements that were not estimated have their nominal values (identity matrix).
+        """
         values = {coefficient.name: coefficient.value for coefficient in self.numbers}
         elements = [values.get(name, nominal) for name, _, nominal in SENSITIVITIES]
         return np.array(elements).reshape(6, 6)
 
     @property
     def matrix_sigma(self) -> Array:
-        """Standard deviations of the elements of the sensitivity matrix, (6, 6)."""
+        """Standard deviations of the sensitivity matrix, (6, 6); 0 for elements not estimated."""
         sigma = {coefficient.name: coefficient.sigma for coefficient in self.numbers}
         return np.array([sigma.get(name, 0.0) for name, _, _ in SENSITIVITIES]).reshape(
             6, 6
@@ -152,7 +156,7 @@ def _correlation(estimate: Estimate) -> Array:
 def corrected(source: Source, tree: Tree, plate: Calibration) -> Source:
     """Recording with the plate's calibrated errors removed from the wrench.
 
-    Errors that belong to the recording itself, as its zero offset, remain.
+    Zero offset and drift, which belong to a single recording, are not removed.
 
     Args:
         source: The recording.

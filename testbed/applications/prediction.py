@@ -30,11 +30,19 @@ def longest_segment_motion(
 ) -> tuple[Motion, slice]:
     """Joint motion in a recording's longest segment without gaps, and its sample range.
 
-    Positions are differentiated by the filters of identification unless velocities and
-    accelerations were measured.
+    If the recording has both velocities and accelerations, they are used as recorded; otherwise
+    positions are low-pass filtered and differentiated as for identification.
+
+    Args:
+        recording: The recording.
+        settings: Settings of the low-pass filter.
 
     Returns:
-        The motion, and the slice of the recording's samples that it covers: filters lose both ends.
+        The motion, and the slice of the recording's samples that it covers; the filter shortens
+            the segment by half its length at either end.
+
+    Raises:
+        RecordingError: The segment is not longer than the filter.
     """
     first, last = longest_segment(recording)
     segment = recording.part(first, last)
@@ -57,11 +65,12 @@ def longest_segment_motion(
 def barycentric_parameters(estimate: Estimate, others: Array | None = None) -> Array:
     """Barycentric parameters consistent with an estimate's base parameters, (n, 10).
 
-    Minimum-norm solution of S theta = delta, or the solution nearest to `others`; all solutions
-    give the same forces.
+    Solution theta of S theta = delta (S: matrix of the minimal set, delta: base parameters) of
+    minimum norm, or nearest to `others`. All solutions give the same forces of the estimate's
+    signal.
 
     Args:
-        estimate: Estimate by either signal.
+        estimate: Estimate by either signal, of n joints.
         others: Barycentric parameters from which unidentifiable combinations are taken, (n, 10);
             default zero.
     """
@@ -82,17 +91,19 @@ def predicted_signals(
 
     Joint torques do not determine all parameters of the wrench: the estimate by torques predicts a
     wrench only together with an estimate by the plate, from which the missing combinations are
-    taken. Torques predicted from the plate contain no friction and no rotor inertia.
+    taken; without it no wrench is predicted. Torques predicted from the plate contain no friction
+    and no rotor inertia.
 
     Args:
-        tree: The robot; its masses are not used.
+        tree: The robot; its masses are not used, except for the pedestal's weight if the recording
+            states no tare.
         recording: Recording with the gravity and the pedestal's share of the wrench.
         motion: Motion of M samples within the recording.
         estimates: Estimates by signal, "wrench" and "torque", in any order.
 
     Returns:
-        Wrenches by signal, pedestal included, (M, 6) [N, N m]; and motor torques by signal, (M, n)
-            [N m or N].
+        Wrenches of the bedplate on the robot by signal, pedestal included, in the bedplate frame
+            about its origin, (M, 6) [N, N m]; and motor torques by signal, (M, n) [N m or N].
     """
     tree = with_recorded_gravity(tree, recording)
     tare = recording_tare(tree, recording)
@@ -126,11 +137,13 @@ def joint_term_torque(
 ) -> Array:
     """Torque of friction, rotors and other joint terms of an estimate, (M, n) [N m or N].
 
-    The drift of offsets, which belongs to one recording, is omitted.
+    Terms that scale with temperature are zero at 25 degC or if no temperatures are given. Other
+    terms with a multiplier (drift of offsets, load) count as zero.
 
     Args:
         motion: Motion of M samples, joints in the order of `estimate.joints`.
-        estimate: Estimate by either signal; an estimate by the plate has no joint terms.
+        estimate: Estimate by either signal; zero torque for an estimate by the plate, which has no
+            joint terms.
         excess_temperature: Temperatures minus 25 degC, (M, n) [K]; default none, for 25 degC.
     """
     torque = np.zeros_like(motion.qd)
@@ -151,7 +164,12 @@ def joint_term_torque(
 
 
 def steady_joint_torque(speed: Array, estimate: Estimate) -> Array:
-    """Torque of joint terms at constant speeds, (M, n) [rad/s or m/s]: (M, n) [N m or N]."""
+    """Torque of an estimate's joint terms at constant speeds and 25 degC, (M, n) [N m or N].
+
+    Args:
+        speed: Joint velocities, (M, n) [rad/s or m/s].
+        estimate: Estimate by either signal.
+    """
     steady = Motion(
         np.arange(len(speed), dtype=float), speed, speed, np.zeros_like(speed)
     )
@@ -161,7 +179,17 @@ def steady_joint_torque(speed: Array, estimate: Estimate) -> Array:
 def prediction_variances(
     tree: Tree, recording: Recording, motion: Motion, estimate: Estimate
 ) -> Array:
-    """Variances of the predicted signal due to the covariance of the parameters, (M, C)."""
+    """Variances of the predicted signal due to the covariance of the parameters, (M, C).
+
+    Columns are the C channels of the estimate's signal: six of the wrench, or n joint torques. The
+    variance of the model-error correction is excluded.
+
+    Args:
+        tree: The robot; only its geometry is used.
+        recording: Recording with the gravity.
+        motion: Motion of M samples.
+        estimate: Estimate by either signal.
+    """
     tree = with_recorded_gravity(tree, recording)
     terms = () if estimate.drives is None else estimate.drives.terms
     root = matrix_square_root(covariance_without_correction(estimate))
@@ -184,9 +212,10 @@ def prediction_variances(
 
 
 def covariance_without_correction(estimate: EstimateSummary) -> Array:
-    """Covariance of the parameters without the share of the model-error correction, (p, p).
+    """Covariance of the p parameters without the share of the model-error correction, (p, p).
 
-    That share is part of the variance of the model errors, which the validation adds separately.
+    The validation adds the variance of the model errors, which contains that share, separately. An
+    estimate without correction keeps its whole covariance.
     """
     if estimate.correction is None:
         return estimate.covariance

@@ -165,12 +165,20 @@ class Validation(Diagnosed, Summarized):
 
     @property
     def matters(self) -> tuple[bool, ...]:
-        """True for each channel whose error is not negligible among channels of its unit."""
+        """True for each channel whose error is not negligible.
+
+        An error is compared with the largest signal among the channels of its unit
+        (`NEGLIGIBLE_FRACTION`).
+        """
         return non_negligible_residuals(self.error, self.signal, self.units)
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostics of channels predicted worse than by rival models, or than expected."""
+        """Diagnostics of channels predicted worse than by rival models, or than expected.
+
+        Rivals are the predictions "plain" and "refitted", if there are `errors`. Errors are worse
+        than expected beyond `MAX_ERROR_RATIO` times the expected error, unless negligible.
+        """
         worse: list[Diagnostic] = []
         if self.errors is not None:
             worse = [
@@ -206,10 +214,12 @@ def validate(
         estimate: Estimate to be validated.
         gravity: Gravity, (3,) [m/s^2], bedplate frame; default the recording's, if stated, else the
             estimate's.
-        settings: Settings of the signal processing; default those of the estimate.
+        settings: Settings of the signal processing; joint terms that the estimate chose replace
+            the choice. Default the settings of the estimate.
         threads: Number of threads; default one per processor.
         progress: Called with the numbers of processed samples and of all samples.
-        models: Values of the same unknowns by rival models (`Posterior.models`), by name.
+        models: Values of the same unknowns by rival models (`Posterior.models`), (p,), by name;
+            their prediction errors become `Validation.errors`.
         held: Name of the estimate among the models: "plain" or "posterior".
 
     Raises:
@@ -244,7 +254,19 @@ def validate(
 def _validation(
     problem: Problem, source: Source, estimate: EstimateSummary
 ) -> Validation:
-    """Statistics of the residuals on another recording, sensor errors being removed."""
+    """Statistics of the residuals on another recording.
+
+    Model errors of the estimate's correction, if any, are subtracted; the drift of joint offsets
+    counts as zero.
+
+    Args:
+        problem: Problem of the other recording.
+        source: Other recording, sensor errors removed.
+        estimate: Estimate to be validated.
+
+    Raises:
+        RecordingError: Numbers are too large for sums.
+    """
     model_variance = np.zeros(len(problem.channels))
     covariance = covariance_without_correction(estimate)
     if estimate.correction is not None:
@@ -298,7 +320,11 @@ def _validation(
 
 
 def _diagnostics(validation: Validation) -> Iterator[Diagnostic]:
-    """Diagnostics of channels whose error exceeds the expected error considerably."""
+    """Diagnostics of channels whose error exceeds `MAX_ERROR_RATIO` times the expected error.
+
+    Negligible errors give none. The code is "estimate.prediction-offset" if the residual exceeds
+    the limit only by its mean, else "estimate.prediction".
+    """
     # never true where the zero offset is unknown
     is_constant = (
         _quotient(validation.scatter, validation.expected_error) <= MAX_ERROR_RATIO
@@ -322,6 +348,6 @@ def _diagnostics(validation: Validation) -> Iterator[Diagnostic]:
 
 
 def _quotient(numerator: Array, denominator: Array) -> Array:
-    """Quotient of two arrays; nan for zero over zero."""
+    """Quotient of two arrays; nan for zero over zero, inf for other divisions by zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return numerator / denominator

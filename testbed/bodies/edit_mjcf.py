@@ -40,14 +40,15 @@ def edit_mjcf(
     Args:
         path: MJCF file.
         changes: Changes of one copy each.
-        note: Lines of a comment with the source of the numbers.
+        note: Lines of a comment with the source of the numbers, at the beginning of the root.
 
     Yields:
-        Bytes of the copy, and diagnostics of values that MuJoCo's compiler changes.
+        Bytes of the copy, and its diagnostics: masses or moments of inertia below the compiler's
+        boundmass or boundinertia, balanceinertia, and actuators that are no motors.
 
     Raises:
         ModelError: The file cannot be edited: MuJoCo computes inertias from geoms or scales masses,
-            or bodies come from other files or are copies.
+            or bodies, joints or actuators come from other files or are copies.
     """
     spec = parse_mjcf(path)
     if (
@@ -93,16 +94,22 @@ def edit_mjcf(
 def _set_motors(
     document: XmlBytes, spec: mujoco.MjSpec, gears: Mapping[str, float], delay: float
 ) -> tuple[Diagnostic, ...]:
-    """Scale and delay joints' motors, add one where a joint has none; other actuators stay.
+    """Scale and delay the motors of joints; add a motor to joints without an actuator.
+
+    Position servos and other actuators are not changed.
 
     Args:
         document: MJCF file to change.
         spec: MuJoCo's specification of the file.
-        gears: Factor on the gear of the motor, by joint.
-        delay: Delay from a command to its torque [s].
+        gears: Factor on the gear of the motor, by joint; the gear of an added motor. Other joints
+            are unchanged.
+        delay: Delay from a command to its torque [s], of the motors of these joints.
 
     Returns:
         A diagnostic of joints whose actuators are no motors.
+
+    Raises:
+        ModelError: Actuators come from other files or are copies.
     """
     buffer_size = str(buffered_command_count(delay, spec.option.timestep))
     delay_attributes = (
@@ -160,12 +167,17 @@ _Joints = list[tuple[str, XmlElement]]
 def _body_elements(
     body: mujoco.MjsBody, elements: list[XmlElement], path: Path
 ) -> Iterator[tuple[str, tuple[XmlElement, _Joints]]]:
-    """Elements of the bodies below a body, and of their joints, by name.
+    """Yield name, XML element and named joint elements of each body below a body.
+
+    Parents come before children.
 
     Args:
         body: Body in MuJoCo's specification.
         elements: Elements that contain the child bodies.
-        path: MJCF file.
+        path: MJCF file, for messages.
+
+    Raises:
+        ModelError: Bodies or joints come from other files or are copies.
     """
     child_elements = [
         each for element in elements for each in _children_through_frames(element)
@@ -209,7 +221,10 @@ def _children_through_frames(element: XmlElement) -> Iterator[XmlElement]:
 
 
 def _inertial_attributes(inertia: Inertia) -> dict[str, str | None]:
-    """Attributes of <inertial>: centre of mass, mass, and central inertia in the body's axes."""
+    """Attributes of <inertial>: centre of mass, mass, and central inertia in the body's axes.
+
+    None for attributes of other representations of the inertia, which are to be removed.
+    """
     central, others = inertia.central, dict.fromkeys(("fullinertia", *_INERTIA_AXES))
     attributes = {
         "pos": format_numbers(inertia.com),
@@ -228,7 +243,11 @@ def _inertial_attributes(inertia: Inertia) -> dict[str, str | None]:
 def _compiler_changes(
     spec: mujoco.MjSpec, links: Mapping[str, Inertia]
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of compiler settings that change the written masses or inertias."""
+    """Diagnostics of compiler settings that concern the written masses or inertias.
+
+    Masses below boundmass and principal moments below boundinertia, which MuJoCo increases; and
+    balanceinertia, which no longer has an effect.
+    """
     compiler = spec.compiler
     masses = {name: inertia.mass for name, inertia in links.items()}
     moments = {

@@ -27,13 +27,17 @@ def edit_urdf(
 ) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
     """Copy a URDF file's bytes with edited inertials and friction, once for each change.
 
-    Arguments are those of `edit_mjcf`.
+    Args:
+        path: URDF file.
+        changes: Changes of one copy each.
+        note: Lines of a comment with the source of the numbers, at the beginning of the root.
 
     Yields:
-        Bytes of the copy, and diagnostics of values that URDF cannot express.
+        Bytes of the copy, and diagnostics of values that URDF cannot express: rotor inertias,
+        torque ratios and the drives' delay.
 
     Raises:
-        ModelError: The file cannot be edited, or a link has more than one inertial.
+        ModelError: The file is no XML, has a DOCTYPE, or a link has more than one inertial.
     """
     document = XmlBytes(path.read_bytes(), str(path))
     root = document.root
@@ -74,7 +78,11 @@ def edit_urdf(
 def _set_inertial(
     document: XmlBytes, link: XmlElement, inertia: Inertia, path: Path
 ) -> None:
-    """Set a link's <inertial>: centre of mass, mass, and central inertia in the link's axes."""
+    """Set a link's <inertial>: centre of mass, mass, and central inertia in the link's axes.
+
+    Raises:
+        ModelError: The link has more than one inertial.
+    """
     central = inertia.central
     parts = {
         "origin": {"xyz": format_numbers(inertia.com), "rpy": "0 0 0"},

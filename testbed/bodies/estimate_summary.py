@@ -27,10 +27,11 @@ from testbed.core.robot.tree import Tree
 def estimate_of_summary(tree: Tree, summary: EstimateSummary) -> Estimate:
     """Estimate rebuilt from a summary: minimal set and joint terms, without data.
 
-    The normal equations are empty, and numbers of the fit are nan.
+    Values, covariance and residuals are those of the summary. Normal equations and numbers of rows
+    are zero; condition number and relative residuals are nan.
 
     Args:
-        tree: Robot.
+        tree: Robot; its gravity is replaced by that of the summary.
         summary: Summary of the estimate; its settings contain known zeros and joint terms.
 
     Raises:
@@ -77,14 +78,15 @@ def estimate_of_summary(tree: Tree, summary: EstimateSummary) -> Estimate:
 
 
 def check_parameters(problem: Problem, summary: EstimateSummary) -> None:
-    """Check that an estimate has the parameters of a problem.
+    """Check that an estimate has the parameters and channels of a problem.
 
     Args:
         problem: Problem of another recording of the robot.
         summary: Summary of the estimate.
 
     Raises:
-        SettingsError: The parameters or the gravity of the estimate differ.
+        SettingsError: Gravity gives another minimal set, or the names or order of the parameters or
+            the number of channels differ.
     """
     tree, minimal, names = problem.tree, problem.minimal, problem.names
     estimate_set = method_minimal_set(

@@ -60,8 +60,8 @@ class LinearPrior:
 
     Attributes:
         mean: Prior mean of the unknowns, (p,).
-        root: Root of the prior covariance, (p, r); columns of the bodies first.
-        body_coordinate_count: Number of coordinates z that belong to bodies.
+        root: Root of the prior covariance, root root', (p, r); columns of the bodies first.
+        body_coordinate_count: Number of coordinates z that belong to bodies, ten a body.
         min_noise_variance: Smallest variance of each channel's noise, (C,) [N^2, N^2 m^2]; infinite
             for channels with too few rows, which are ignored.
         lower_bounds: Lower bounds of z, (r,): friction is not negative; -inf for no bound.
@@ -79,7 +79,9 @@ class LinearPrior:
         return np.asarray((self.root**2).sum(axis=1))
 
     def coordinate_sigmas(self, error: float) -> Array:
-        """Standard deviations of z, (r,), for another relative error of the bodies.
+        """Standard deviations of z for another relative error of the bodies, (r,).
+
+        The error for coordinates of the bodies, one for all other coordinates.
 
         Args:
             error: Relative error of the bodies.
@@ -102,9 +104,10 @@ def linear_prior(
 ) -> LinearPrior:
     """Gaussian prior of the unknowns by the model file; joint terms are nearly free.
 
-    The relative error of the bodies is one. Friction has mean zero and the size of the torques,
-    because files often state a guess. Friction that channels with enough rows do not excite keeps
-    the value of the file as mean and as standard deviation, unless it is a placeholder.
+    The relative error of the bodies is one, of placeholder bodies three. A joint term has mean zero
+    and the sigma that alone explains the rms torque, because files often state a guess. A term that
+    channels with enough rows do not excite has the file's value as sigma and, unless that is a
+    placeholder, as mean. The prior of a wrench is conditioned on `Settings.known`.
 
     Args:
         problem: Problem with the unknowns.
@@ -146,7 +149,7 @@ def bodies_prior(problem: Problem, prior: PriorBodies, error: float) -> Gaussian
     Args:
         problem: Problem with the minimal parameters.
         prior: Bodies of the model file.
-        error: Relative error of the bodies.
+        error: Relative error of the bodies; three times as large for placeholder bodies.
     """
     minimal = problem.minimal
     width = np.ones((problem.tree.n, 10))
@@ -163,7 +166,11 @@ def bodies_prior(problem: Problem, prior: PriorBodies, error: float) -> Gaussian
 def _terms_prior(
     problem: Problem, prior: PriorBodies, rows: RowProducts
 ) -> tuple[Array, Array]:
-    """Mean, (p,), and root of the covariance, (p, k), of the k joint terms."""
+    """Mean, (p,), and root of the covariance, (p, k), of the k joint terms.
+
+    For an excited term mean zero and, as sigma, rms torque over rms column in the channel with the
+    largest column; else the value of the file as sigma and, without a placeholder, as mean.
+    """
     drives, zeros = problem.drives, np.zeros(len(problem.names))
     if drives is None:
         return zeros, np.zeros((len(zeros), 0))
@@ -190,7 +197,7 @@ def _terms_prior(
 
 
 def _with_bounded_slenderness(prior: PriorBodies) -> PriorBodies:
-    """Prior with principal second moments at least MIN_MOMENT_RATIO of each body's greatest."""
+    """Prior with principal second moments raised to MIN_MOMENT_RATIO of each body's greatest."""
     bodies = np.array(prior.standard)
     for k in prior.massive_bodies:
         body = Inertia.of_pseudo(pseudo_inertias(bodies[k]))
@@ -238,7 +245,8 @@ def _conditioned_on_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
 def _lower_bounds(problem: Problem, mean: Array, root: Array) -> Array:
     """Lower bounds of z, (r,), at which friction in mean + root z is zero.
 
-    -inf for coordinates without a bound.
+    -inf for coordinates of bodies, of terms that are not dissipative, and of friction in a
+    coefficient that is a sum with terms of other shafts.
 
     Args:
         problem: Problem with the unknowns.
@@ -258,7 +266,7 @@ def _lower_bounds(problem: Problem, mean: Array, root: Array) -> Array:
 def fit_with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     """Least squares with a prior, under noise variances estimated from the residuals.
 
-    Friction that would drive the motion is zero.
+    Friction coefficients are not negative (`LinearPrior.lower_bounds`).
 
     Args:
         rows: Products of the rows that are used.
@@ -293,7 +301,9 @@ def fit_with_estimated_noise(
 ) -> PriorFit:
     """Posterior of z under noise variances estimated from the residuals, channel by channel.
 
-    Fit and noise variances are computed in turn, as in iteratively reweighted least squares.
+    Fit and noise variances are computed in turn, as in iteratively reweighted least squares, with
+    `NOISE_ITERATIONS` (6) fits. A channel with too few rows has at least its mean square about the
+    prior mean as noise variance.
 
     Args:
         equations: Normal equations in z.
@@ -321,7 +331,7 @@ def fit_with_estimated_noise(
 def fit_with_noise(
     equations: NormalEquations, noise: Array, lower_bounds: Array
 ) -> PriorFit:
-    """Posterior of z under given noise variances.
+    """Posterior of z under given noise variances; two filtered rows count as one independent row.
 
     Args:
         equations: Normal equations in z.
@@ -337,6 +347,8 @@ def bounded_posterior(
     normal: Array, right: Array, lower_bounds: Array
 ) -> tuple[Array, Array]:
     """Mode within the bounds, (r,), and unbounded covariance, (r, r), of the posterior of z.
+
+    The prior of z has zero mean and unit covariance.
 
     Args:
         normal: Information matrix of the data on z, (r, r).
@@ -378,8 +390,9 @@ def _bounded_mode(free: Array, covariance: Array, least: Array) -> Array:
 def determined_by_data(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:
     """Mask of the unknowns that the data determine without the prior, (p,).
 
-    The data are fitted with a nearly uninformative prior: correlations of mass, centre and inertia
-    in the model file must not count as data.
+    True if the variance is at most a tenth of the prior variance (`MIN_DETERMINED_SHARE`) after a
+    fit with a nearly uninformative prior, of a thousand times the sigmas: correlations of mass,
+    centre and inertia in the model file must not count as data.
 
     Args:
         rows: Products of the rows that are used.
@@ -392,7 +405,7 @@ def determined_by_data(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool
 
 
 def file_with_fitted_terms(rows: RowProducts, prior: LinearPrior) -> Array:
-    """Unknowns with the model file's bodies and joint terms fitted to the rows, (p,).
+    """Unknowns with exactly the model file's bodies, and joint terms fitted to the rows, (p,).
 
     Args:
         rows: Products of the rows that are used.

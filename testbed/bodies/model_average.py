@@ -63,8 +63,8 @@ class ModelAverage:
         noise: Variance of each channel's noise by fit, (k, C) [N^2, N^2 m^2].
         values: Values of the unknowns, (p,).
         covariance: Covariance of the mixture, within the fits and between them, (p, p).
-        prior_error: Relative error of the file's bodies: rms deviation of the determined
-            coordinates.
+        prior_error: Relative error of the file's bodies: rms deviation from the file of the
+            coordinates that the data determine, or the only error in `errors`.
         by_rows: Values of the fits, (k, p), by training rows of the held-out parts.
     """
 
@@ -79,6 +79,8 @@ class ModelAverage:
 
     def values_of(self, rows: RowProducts) -> Array:
         """Values of the unknowns fitted to other rows, with the same weights and noise, (p,).
+
+        Fits in `by_rows` are not computed again.
 
         Args:
             rows: Products of the rows.
@@ -125,12 +127,13 @@ def model_average(
 
     The loss of a part is the logarithm of its mean squared prediction error over the noise variance
     of the fit with the weakest prior (last error); weights fall with the difference from the best
-    loss in standard errors over the parts.
+    loss in standard errors over the parts. The covariance assumes relative errors of at least
+    `REFERENCE_PRIOR_ERROR`, and noise inflated by the scatter over the parts.
 
     Args:
         parts: Products of the recording's rows, part by part.
         prior: Prior with a relative error of one.
-        errors: Relative errors of the bodies.
+        errors: Relative errors of the bodies, ascending; a single error is one fit without weights.
     """
     whole, error_array = parts.total, np.array(errors)
     equations = whole.equations(prior.root, prior.mean)
@@ -178,7 +181,7 @@ def model_average(
 
 
 def _errors_without_data(errors: Array) -> Array:
-    """Relative errors for parameters without data, (k,): at least REFERENCE.
+    """Relative errors for parameters without data, (k,): at least REFERENCE_PRIOR_ERROR (0.5).
 
     A single error was requested and stays unchanged.
 
@@ -230,7 +233,8 @@ def _noise_inflation(
 ) -> Array:
     """Ratio of the scores' scatter over parts to that of white noise, by channel, (C,).
 
-    It is at least one; correlated noise and model errors make it larger.
+    Scores are the derivatives of half the squared residuals with respect to z, summed over a part.
+    The ratio is at least one; correlated noise and model errors make it larger.
 
     Source    [LZ86]
 
@@ -273,7 +277,8 @@ def _file_error(
 ) -> float:
     """Rms deviation from the file of the bodies' coordinates that the data determine.
 
-    REFERENCE counts as the deviation of one more coordinate.
+    Each coordinate counts by the share of its prior variance that the data remove;
+    REFERENCE_PRIOR_ERROR counts as the deviation of one more coordinate.
 
     Source    [Mac92]
 
@@ -332,7 +337,7 @@ def _held_out_losses(
 ) -> Array:
     """Losses of held-out parts by fit, (parts, k), averaged over the block lengths.
 
-    Parts without rows are left out.
+    1, 2 and 4 consecutive parts are held out together. Parts without rows are left out.
 
     Args:
         parts: Products of the recording's rows, part by part.
@@ -354,7 +359,13 @@ def _held_out_losses(
 
 
 def _part_losses(part: RowProducts, values: Array, noise: Array) -> Array:
-    """Logarithms of mean squared prediction errors over the noise variance, by fit, (k,)."""
+    """Logarithms of mean squared prediction errors over the noise variance, by fit, (k,).
+
+    Args:
+        part: Products of the held-out rows.
+        values: Values of the unknowns by fit, (k, p).
+        noise: Variance of each channel's noise, (C,).
+    """
     squares = np.array(
         [part.residual_squares(each, part.mean_residuals(each)) for each in values]
     )
@@ -365,7 +376,11 @@ def _part_losses(part: RowProducts, values: Array, noise: Array) -> Array:
 
 
 def _fit_weights(losses: Array, errors: Array) -> Array:
-    """Weights of the fits, (k,), by their losses on held-out parts.
+    """Weights of the fits by their losses on held-out parts, (k,); the sum is one.
+
+    Proportional to exp(-d^2 / 2) error^-0.15, with errors of at least 0.03; d is the mean
+    difference from the best fit's loss in standard errors, which are bounded to 0.01 ... 0.2. With
+    fewer than `MIN_PARTS` (3) parts only the fit with `DEFAULT_PRIOR_ERROR` (0.3) counts.
 
     Args:
         losses: Losses, (parts, k).

@@ -63,14 +63,14 @@ class Posterior(EstimateSummary):
 
     Attributes:
         instrument: Name of the instrument in reports.
-        count: Number of parameters that belong to bodies.
+        count: Number of minimal parameters of the bodies, which come before the joint terms.
         file: Values of the model file, (p,).
         refitted: Values of the model file with the joint terms fitted to the data, (p,).
         prior_sigma: Standard deviations before the data, (p,).
         share: Share of the prior variance that the data remove, (p,).
         alone: True for parameters that the data determine without the prior: their variance is at
             most a tenth of the prior variance, (p,).
-        prior_error: Relative error of the model file's bodies, by held-out parts.
+        prior_error: Relative error of the model file's bodies, as stated or by held-out parts.
         used: True if the prior is needed; else the values are those of least squares.
         by_part: Rms residual in consecutive parts of the recording, (parts, C) [N, N m].
         duration: Duration of the recording [s].
@@ -108,7 +108,10 @@ class Posterior(EstimateSummary):
 
     @property
     def models(self) -> dict[str, Array]:
-        """Values of the unknowns, (p,), by name of the prediction."""
+        """Values of the unknowns, (p,), by name of the prediction.
+
+        "file", "refitted", "posterior", and "consistent" where consistent bodies were requested.
+        """
         models = {FILE: self.file, REFITTED: self.refitted, POSTERIOR: self.values}
         return (
             models
@@ -124,6 +127,10 @@ class Posterior(EstimateSummary):
 
     def worse_channels(self, reported: str) -> tuple[Diagnostic, ...]:
         """Diagnostics of held-out channels that the model file or least squares predict better.
+
+        The reported estimate is compared with least squares, and both the reported estimate and the
+        consistent bodies with the model file with fitted joint terms, by the thresholds of
+        `PredictionErrors.worse_channels`.
 
         Args:
             reported: Name of the reported estimate: "posterior" or "plain".
@@ -148,7 +155,7 @@ class ReportedEstimate:
     Attributes:
         estimate: Estimate with the model file as prior if the prior is needed; else least squares.
         held: Name of the reported candidate: "posterior" or "plain".
-        models: Values of the unknowns, (p,), by candidate; {} without other candidates.
+        models: Values of the unknowns, (p,), by candidate; {} without a posterior.
     """
 
     estimate: EstimateSummary
@@ -163,6 +170,10 @@ def reported_estimate(
     plain: bool = False,
 ) -> ReportedEstimate:
     """Choose between least squares and posterior of one method.
+
+    The posterior is reported where the data do not determine all parameters (`Posterior.used`), or
+    without least squares; else least squares. Sensor errors and settings are those of least squares
+    where there is such an estimate.
 
     Args:
         least_squares: Least-squares estimate; None where the data determine none.
@@ -200,6 +211,11 @@ def compute_posterior(
     prior_error: float | None = None,
 ) -> Posterior:
     """Compute the posterior of a recording's rows with the model file's bodies as prior.
+
+    The values are a model average over `PRIOR_ERRORS`, or the fit with the stated error; for a
+    well-conditioned estimate, conditioned on it instead of the rows. They are those of least
+    squares (`used` is False) where every channel has enough rows and the data determine all
+    parameters (`determines_all`).
 
     Args:
         rows: Products of the recording's rows; joint friction of its robot is that of the file.
@@ -288,7 +304,10 @@ def _without_model_errors(estimate: Estimate) -> Array:
 
 
 def corrected_row_parts(problem: Problem, estimate: Estimate | None) -> RowParts:
-    """Products of a problem's rows, with the estimated instrument faults corrected.
+    """Gram matrices of a problem's rows, with the estimated instrument faults corrected.
+
+    Wrench channels have an unknown constant if the estimate includes the plate's bias, has
+    unidentifiable parameters or is None; channels of joint torques do not.
 
     Args:
         problem: Problem with the terms and the filter of the estimate.
@@ -302,10 +321,10 @@ def corrected_row_parts(problem: Problem, estimate: Estimate | None) -> RowParts
 
 
 def file_values(problem: Problem, prior: PriorBodies) -> Array:
-    """Values of the unknowns in the model file, (p,).
+    """Values of the unknowns in the model file: minimal parameters, then joint terms, (p,).
 
     Args:
-        problem: Problem with the unknowns.
+        problem: Problem with the unknowns; friction of its joints is that of the file.
         prior: Bodies of the model file.
     """
     minimal, drives = problem.minimal, problem.drives
@@ -322,7 +341,8 @@ def file_values(problem: Problem, prior: PriorBodies) -> Array:
 def is_well_conditioned(estimate: Estimate | None) -> TypeGuard[Estimate]:
     """Test whether an estimate's equations are well conditioned and all variances positive.
 
-    Then the residuals of least squares show the correlation of the noise.
+    The condition number, with columns of unit length, is below `WELL_CONDITIONED` (100). The noise
+    model from the residuals is reliable then. False without an estimate.
 
     Args:
         estimate: Least-squares estimate; None where the data determine none.
@@ -336,6 +356,9 @@ def determines_all(
     estimate: Estimate | None, prior: LinearPrior
 ) -> TypeGuard[Estimate]:
     """Test whether the data determine every parameter, so that no prior is needed.
+
+    True if each least-squares variance is below a ninth of the prior variance: the data then remove
+    over `MIN_DETERMINED_SHARE` (90 %) of the latter. False without an estimate.
 
     Args:
         estimate: Least-squares estimate; None where the data determine none.
@@ -353,6 +376,8 @@ def held_out_errors(
     file: Array | None = None,
 ) -> tuple[PredictionErrors, ...]:
     """Prediction errors of several fits on held-out parts, for each kind of split.
+
+    The splits are those of `RowParts.splits`: "like" always, "faster" where speeds differ enough.
 
     Args:
         parts: Products of the rows, part by part.
@@ -372,7 +397,7 @@ def held_out_errors(
 
 
 def _least_squares_values(rows: RowProducts) -> Array:
-    """Weighted least-squares solution without a prior, (p,)."""
+    """Least-squares solution without a prior, weighted by inverse noise variances, (p,)."""
     p = len(rows.unknowns)
     equations = rows.equations(np.eye(p), np.zeros(p))
     weights = noise_weights(equations)

@@ -66,14 +66,17 @@ class PredictionErrors:
 
     @property
     def best_method(self) -> str:
-        """Name of the prediction with the least error over all channels."""
+        """Name of the prediction with the least error over all channels (`over_file`)."""
         return min(self.residual, key=self.over_file)
 
     def merged_with(self, other: PredictionErrors) -> PredictionErrors:
         """Prediction errors merged with the errors of other predictions of the same data.
 
+        Predictions in both keep the errors and p-values of this object.
+
         Args:
-            other: Prediction errors of the other predictions.
+            other: Errors of the other predictions; p-values by rivals that are not in `chance` of
+                this object are dropped.
         """
         residual = {**other.residual, **self.residual}
         chance = {
@@ -94,6 +97,8 @@ class PredictionErrors:
     def over_file(self, which: str) -> float:
         """Rms over channels of the error relative to the model file with fitted friction.
 
+        Channels with too few rows are left out.
+
         Args:
             which: Name of the prediction.
         """
@@ -102,6 +107,10 @@ class PredictionErrors:
 
     def worse_channels(self, which: str, than: str = REFITTED) -> Iterator[Diagnostic]:
         """Diagnostics of channels that one prediction predicts significantly worse than another.
+
+        The error is larger by a factor of over 1.05 ("refitted") or 1.2 ("plain"), with a p-value
+        below 0.01, and the root of the difference of squares exceeds 0.5 % of the signal. Nothing
+        without p-values of the two predictions.
 
         Args:
             which: Name of the prediction.
@@ -146,13 +155,14 @@ def prediction_errors(
     held_out_kind: str,
     pairs: Iterable[tuple[Mapping[str, Prediction], Sequence[RowProducts]]],
 ) -> PredictionErrors:
-    """Prediction errors of several predictions on held-out rows.
+    """Rms errors and p-values of several predictions on held-out rows, channel by channel.
 
     Args:
         problem: Problem with the unknowns and the channels.
         held_out_kind: Data that are predicted: "like", "faster" or "another"
             (`PredictionErrors.of`).
-        pairs: Predictions by name, and the parts of the rows that they predict.
+        pairs: Predictions by name, and the held-out parts of the rows that they predict; errors
+            are over the parts of all pairs.
     """
     zeros = np.zeros(len(problem.names))
     squares: dict[str, list[Array]] = {}
@@ -214,7 +224,10 @@ def _p_values(squares: Sequence[Array], rival: Sequence[Array]) -> Array:
 def fitted_predictions(
     rows: RowProducts, models: Mapping[str, Array]
 ) -> dict[str, Prediction]:
-    """Unknowns and channel constants fitted to rows, by prediction; zero constants for "file".
+    """Values of unknowns with channel constants fitted to rows, by name of the prediction.
+
+    The constants are mean residuals for channels with an unknown constant; zero for other channels
+    and for the prediction "file".
 
     Args:
         rows: Products of the rows.

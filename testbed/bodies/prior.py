@@ -39,8 +39,9 @@ class PriorBodies(Diagnosed, Value):
     """Bodies and rotor inertias of a model file, as a prior before any data.
 
     Attributes:
-        standard: Standard parameters, (n, 10) [kg, kg m, kg m^2], of possible bodies; zero for
-            bodies without matter, which stay massless whatever the data.
+        standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz of possible bodies, about
+            and along the body frames, (n, 10) [kg, kg m, kg m^2]; zero for bodies without matter,
+            which stay massless whatever the data.
         rotors: Inertias of the drives at their joints, (n,) [kg m^2 or kg]; 0 where not known.
         placeholders: Bodies and friction with placeholder numbers instead of measured ones.
         diagnostics: Corrections of the model file's numbers.
@@ -64,7 +65,8 @@ class PriorBodies(Diagnosed, Value):
     def standard_from_coordinates(self) -> Array:
         """Matrix from coordinates of every Y to standard parameters, J = U Y U', (10 n, 10 n).
 
-        U U' is the pseudo-inertia in the model file; zero for bodies without matter.
+        J is a body's pseudo-inertia, U U' that of the model file, Y a symmetric (4, 4) matrix with
+        ten coordinates in an orthonormal basis; zero for bodies without matter.
         """
         n, massive = len(self.rotors), list(self.massive_bodies)
         roots = np.array(
@@ -81,7 +83,10 @@ class PriorBodies(Diagnosed, Value):
 def prior_of(tree: Tree) -> PriorBodies:
     """Prior bodies of a model file, with impossible inertias replaced by near possible inertias.
 
-    A file without any mass gets unit point masses, made possible in the same way.
+    Principal second moments are raised to `MIN_PRIOR_MOMENT_RATIO` (0.01) of the body's greatest. A
+    point mass becomes a ball; a body with inertia but without positive mass gets the median mass; a
+    body of zeros stays massless. In a file without any mass all bodies are point masses of 1 kg,
+    made possible in the same way.
 
     Args:
         tree: Robot with the bodies of the file.
@@ -121,7 +126,10 @@ def prior_of(tree: Tree) -> PriorBodies:
 
 
 def _is_impossible(body: Array) -> bool:
-    """True for the pseudo-inertia, (4, 4), of an impossible body or of a point mass."""
+    """True for the pseudo-inertia, (4, 4), of an impossible body or of a point mass.
+
+    Impossible: no positive mass, or a negative principal second moment beyond rounding.
+    """
     mass = body[3, 3]
     if mass <= 0:
         return True
@@ -133,7 +141,7 @@ def _is_impossible(body: Array) -> bool:
 def _diagnostics(
     without_masses: bool, impossible: list[str], massless: list[str]
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of the bodies that were replaced or have no matter."""
+    """Diagnostics of a file without masses, else of replaced bodies; and of massless bodies."""
     if without_masses:
         yield make_diagnostic("bodies.no-masses")
     elif impossible:

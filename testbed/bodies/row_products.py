@@ -44,7 +44,8 @@ class RowProducts:
     Attributes:
         unknowns: Names of the columns, (p,).
         channels: Names of the channels, (C,).
-        products: Sums over the rows of each augmented row's outer product, (C, p + 2, p + 2).
+        products: Sums of the rows' outer products, (C, p + 2, p + 2); a row consists of the p
+            columns, the constant 1 and the measurement.
         has_offset: True if each channel has an unknown constant.
     """
 
@@ -55,18 +56,24 @@ class RowProducts:
 
     @property
     def rows(self) -> Array:
-        """Number of rows of each channel without rows near a reversal, (C,)."""
+        """Number of rows of each channel, without rows near a joint's reversal, (C,)."""
         return self.products[:, -2, -2]
 
     @property
     def has_enough_rows(self) -> NDArray[np.bool_]:
-        """Mask of the channels with enough rows for an estimate of the noise, (C,)."""
+        """Mask of the channels with enough rows for an estimate of the noise, (C,).
+
+        At least `MIN_EXCESS_ROWS` (8) rows more than unknowns that no other channel excites.
+        """
         is_excited = np.einsum("cii->ci", self.products)[:, :-2] > 0
         own_unknowns = (is_excited & (is_excited.sum(axis=0) == 1)).sum(axis=1)
         return np.asarray(self.rows >= own_unknowns + MIN_EXCESS_ROWS)
 
     def equations(self, lead: Array, start: Array) -> NormalEquations:
         """Normal equations of combined columns for the residuals of given unknowns.
+
+        Channels with an unknown constant have their means subtracted; columns that are constant in
+        a channel up to rounding are zero then.
 
         Args:
             lead: Combinations of the columns, (p, k).
@@ -152,9 +159,9 @@ class RowParts:
 
     Attributes:
         problem: Problem with the rows.
-        cross: Products of each part, and of all rows away from it.
+        cross: Products of each part, and of all rows at least `GAP_DURATION` (0.3 s) away from it.
         offset: True if each channel has an unknown constant.
-        speed: Mean square of each joint's speed in every part, (parts, n).
+        speed: Mean square of each joint's speed in every part, (parts, n) [rad^2/s^2, m^2/s^2].
     """
 
     problem: Problem
@@ -174,13 +181,19 @@ class RowParts:
 
     @cached_property
     def folds(self) -> list[tuple[RowProducts, RowProducts]]:
-        """Training rows and held-out part of every fold of the cross-validation."""
+        """Training rows and held-out part of every fold of the cross-validation.
+
+        Training rows are those of other parts, at least `GAP_DURATION` (0.3 s) away.
+        """
         return [*zip(self._row_products(self.cross.training), self.parts, strict=True)]
 
     def blocks(
         self, length: int
     ) -> Iterator[tuple[RowProducts, list[tuple[int, RowProducts]]]]:
-        """Training rows, and the consecutive held-out parts with their numbers, block by block.
+        """Yield training rows and consecutive held-out parts with their numbers, block by block.
+
+        Training rows are all other parts; only with a length of 1 the rows within 0.3 s of the
+        held-out part are left out.
 
         Args:
             length: Number of parts that are held out together.
@@ -199,7 +212,7 @@ class RowParts:
         """Pairs of training rows and held-out parts, by kind of split.
 
         "like": each part by all others; "faster": the faster half of the parts by the slower half,
-        if their speeds differ enough.
+        if their rms speeds differ by a factor of over `MIN_SPEED_RATIO` (1.5).
         """
         parts = self.parts
         splits = {"like": [(training, [part]) for training, part in self.folds]}
@@ -216,7 +229,7 @@ class RowParts:
         return splits
 
     def _row_products(self, products: Array) -> list[RowProducts]:
-        """RowProducts of this problem for several sets of Gram matrices.
+        """Gram matrices of several parts as `RowProducts` of this problem.
 
         Args:
             products: Gram matrices, (parts, C, p + 2, p + 2).
@@ -247,8 +260,8 @@ def row_parts(
         problem: Robot, recording and method.
         source: Recording, instrument faults corrected.
         offset: True if each channel has an unknown constant.
-        whole: As for `Problem.passes`.
-        per_cutoff: As for `Problem.passes`.
+        whole: True to include rows near reversals, unless the settings state a reach.
+        per_cutoff: Rows per second per Hz of the low-pass on rows.
     """
     width = len(problem.channels)
     passes = problem.passes(1, source, whole, per_cutoff)
@@ -277,7 +290,7 @@ def row_parts(
 
 
 def _speed_columns(rate: float, channels: int) -> ColumnFunction:
-    """Function for the joint speeds at the rows, by central differences, for every channel.
+    """Function for the joint speeds at the rows, (C, rows, n), by central differences.
 
     Args:
         rate: Sampling rate [1/s].

@@ -59,13 +59,21 @@ def verdict_of(
     reported: str = POSTERIOR,
     doubts: Iterable[Diagnostic] = (),
 ) -> tuple[Diagnostic, ...]:
-    """Verdict on estimates: reservations by severity, or one line of prediction errors.
+    """Verdict on estimates: diagnostics by severity, or a line of prediction errors per method.
+
+    Diagnostics are: of the recording those in `RECORDING_CODES`, as errors; of the posteriors poor
+    predictions (`_reservations`); of least squares those of level "error" and of model errors.
+    Symptoms of least squares are left out where the posterior is reported.
 
     Args:
         estimates: Least-squares estimates of one recording.
         posteriors: Estimates with the model file as prior, of an imported recording.
         reported: Name of the reported estimate of a posterior: "posterior" or "plain".
         doubts: Diagnostics of the robot and the recording.
+
+    Returns:
+        These diagnostics. Without any, one line for each posterior with its errors on held-out
+        parts; without posteriors, for each estimate with its relative residuals.
     """
     estimate_list = list(estimates)
     recording_errors = [
@@ -123,7 +131,16 @@ def _prediction_line(instrument: str, share: Array, of: str) -> Diagnostic:
 
 
 def _reservations(estimate: Posterior, reported: str) -> Iterator[Diagnostic]:
-    """Diagnostics of better rivals, poor predictions, episodes and an uninformative file."""
+    """Diagnostics of better rivals, poor predictions, episodes and an uninformative file.
+
+    A prediction is poor if its held-out error exceeds 0.2 of the channel's signal: an error if it
+    also exceeds 0.2 of the largest signal in this unit. Channels with too few rows are reported.
+    The file is uninformative if its relative error exceeds `MAX_PRIOR_ERROR` (1).
+
+    Args:
+        estimate: Posterior of one method.
+        reported: Name of the reported estimate: "posterior" or "plain".
+    """
     yield from estimate.worse_channels(reported)
     method, held_out = estimate.method, estimate.errors[0]
     residual, signal, units = (
@@ -164,7 +181,10 @@ def _reservations(estimate: Posterior, reported: str) -> Iterator[Diagnostic]:
 
 
 def _episodes(estimate: Posterior) -> Iterator[Diagnostic]:
-    """Diagnostics of channels whose residual in one interval is far above the median interval's."""
+    """Diagnostics of channels with large residuals in one or two consecutive parts.
+
+    Large: over four times the median over the parts, and over 0.05 of the channel's signal.
+    """
     median = np.median(estimate.by_part, axis=0)
     is_large = (estimate.by_part > MIN_EPISODE_RATIO * median) & (median > 0)
     bounds = np.linspace(0.0, estimate.duration, len(estimate.by_part) + 1)

@@ -66,7 +66,7 @@ def write_model(
 ) -> tuple[Diagnostic, ...]:
     """Write a copy of a model file with a tree's masses, friction and rotors.
 
-    All other bytes are unchanged.
+    All other bytes are unchanged. The copy is read again and checked before it is written.
 
     Args:
         model: Model file, and the options it was read with.
@@ -85,7 +85,8 @@ def write_model(
 
     Raises:
         ModelError: The file cannot be edited or must not be overwritten, or `path` has the wrong
-            extension for its format.
+            extension for its format; or the copy would not be read with the tree's inertias.
+        OSError: The path is not writable.
     """
     check_copy_path(model.path, path, over_source=over_source)
     (change,) = model_edits(model, [tree], fixed)
@@ -154,7 +155,10 @@ def write_models(
 def model_edits(
     model: ModelFile, trees: Sequence[Tree], fixed: FixedLinkShare
 ) -> list[ModelEdit]:
-    """Edits of a model file that give the numbers of several trees.
+    """Edits of a model file that give the numbers of several trees, in order.
+
+    An edit contains the bodies and joint fields that differ from the file as read, and all repairs
+    of inertias that were made on reading.
 
     Args:
         model: Model file, and the options it was read with.
@@ -193,6 +197,10 @@ def mujoco_fields(
     changes: Sequence[ModelEdit], trees: Sequence[Tree]
 ) -> dict[str, Array]:
     """Arrays of MuJoCo's mass, inertia and joint fields of all robots, by name.
+
+    "bodies" and "joints" are names; body_mass, (N, bodies) [kg]; body_ipos, centre of mass,
+    (N, bodies, 3) [m]; body_inertia, principal moments, (N, bodies, 3) [kg m^2]; body_iquat, the
+    principal axes, (N, bodies, 4); dof_frictionloss, dof_damping, dof_armature, (N, joints).
 
     Args:
         changes: Edits of the model file, one a tree, all of the same links.
@@ -266,6 +274,9 @@ def distribute_inertias(
 ) -> tuple[dict[str, Inertia], tuple[Diagnostic, ...]]:
     """Distribute the inertias of bodies among the links of the model file.
 
+    A body whose inertia in the file is nearly degenerate cannot be divided: its first link gets the
+    whole inertia, with a diagnostic. Links without inertia that get none are omitted.
+
     Args:
         links: All links, parents before children.
         bodies: New inertias of bodies of the tree, by index.
@@ -310,12 +321,13 @@ def _proportional_inertias(
 ) -> dict[str, Inertia] | None:
     """Inertias of a body's links in proportion to the file, in the body frame.
 
-    One linear map of the pseudo-inertias takes the body of the file to the new body, so that the
-    parts stay physically possible. None where the body of the file is nearly degenerate.
+    One linear map L of the pseudo-inertias, J -> L J L', takes the body of the file to the new
+    body, so that the parts stay physically possible. None where the smallest eigenvalue of the
+    file's pseudo-inertia, scaled to unit diagonal, is below `MIN_EIGENVALUE`.
 
     Args:
         links: Links of the body.
-        inertia: New inertia of the body.
+        inertia: New inertia of the body, about and along its frame.
     """
     file_inertia = total_inertia(link.inertia_in_body for link in links).pseudo
     scale = np.sqrt(np.abs(np.diagonal(file_inertia)))
@@ -337,12 +349,12 @@ def _check_copy(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, 
     """Read a copy again and check its inertias; diagnose friction that reads differently.
 
     Args:
-        model: Model file.
+        model: Model file, and the options it was read with; referenced files are copied along.
         data: Bytes of the copy.
         tree: Tree that was written.
 
     Raises:
-        ModelError: Inertias differ from those of the tree.
+        ModelError: Inertias differ from those of the tree by over `RELATIVE_TOLERANCE` (1e-9).
     """
     with tempfile.TemporaryDirectory() as folder:
         copy = copy_model(model.path, Path(folder))
@@ -372,7 +384,10 @@ def _check_copy(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, 
 
 
 def _missing_references(source: Path, path: Path) -> tuple[Diagnostic, ...]:
-    """Diagnostic of relative file references that a copy in another folder breaks."""
+    """Diagnostic of relative file references that a copy in another folder breaks.
+
+    No diagnostic if the folder is the same or all mesh names are addresses with "://".
+    """
     if path.resolve().parent == source.resolve().parent or not referenced_files(source):
         return ()
     names = [mesh.get("filename", "") for mesh in read_xml(source).iter("mesh")]

@@ -40,7 +40,7 @@ class XmlElement:
     is_empty: bool
 
     def children_named(self, *tags: str) -> list[XmlElement]:
-        """Child elements with some names, in order.
+        """Child elements with one of the given names, in order of the file.
 
         Args:
             tags: Names of the elements.
@@ -106,6 +106,8 @@ class XmlBytes:
     def set_attributes(self, element: XmlElement, **values: str | None) -> None:
         """Change attributes of an element; None removes an attribute if it exists.
 
+        New attributes follow the others. The change is pending until `apply_changes`.
+
         Args:
             element: Element to change.
             values: Values by attribute, in ASCII without characters to escape.
@@ -138,7 +140,7 @@ class XmlBytes:
             self._changes.append((end, end, missing))
 
     def insert_text(self, element: XmlElement, text: str) -> None:
-        """Insert text as the first content of an element.
+        """Insert text as the first content of an element, pending until `apply_changes`.
 
         Args:
             element: Element that receives the text.
@@ -160,10 +162,12 @@ class XmlBytes:
     def set_child(self, element: XmlElement, tag: str, **values: str | None) -> None:
         """Change attributes of the first child with a name; insert the child if missing.
 
+        The change is pending until `apply_changes`.
+
         Args:
             element: Parent of the child.
             tag: Name of the child.
-            values: Values by attribute, as for `set`.
+            values: Values by attribute, as for `set_attributes`.
         """
         children = element.children_named(tag)
         if children:

@@ -69,6 +69,9 @@ class FactorTable(StrictTable):
     def levels(self) -> list[tuple[Level, tuple[str, ...]]]:
         """Levels of the factor, each with its settings.
 
+        Named levels with their own settings; or values, with `$` in the factor's settings replaced
+        by the value.
+
         Raises:
             ExperimentError: A setting needs a multiple of a level that is not a number.
         """
@@ -88,8 +91,11 @@ class FactorTable(StrictTable):
         """Setting with `$` and its multiples replaced by the level.
 
         Args:
-            setting: Setting with placeholders.
+            setting: Setting with placeholders `$` (level) and `$*NUMBER` (multiple of the level).
             level: Level of the factor.
+
+        Raises:
+            ExperimentError: A multiple of a level that is not a number.
         """
 
         def number(match: re.Match[str]) -> str:
@@ -144,7 +150,7 @@ class Campaign:
     Attributes:
         tables: Content of the campaign's file.
         experiment_file: Experiment file.
-        cells: Combinations of the factors' levels.
+        cells: Combinations of the factors' levels, the last factor varying fastest.
     """
 
     tables: CampaignTables
@@ -160,7 +166,8 @@ class Campaign:
             settings: Overrides of the experiment, for all runs.
 
         Raises:
-            ExperimentError: A file cannot be read, or has an unknown key or an invalid value.
+            ExperimentError: A file cannot be read, or has an unknown key or an invalid value; two
+                factors have one name; or there are more than `MAX_RUNS` runs.
         """
         path = Path(path)
         tables = validate_tables(CampaignTables, read_toml(path, "campaign"), str(path))
@@ -193,6 +200,9 @@ class Campaign:
 
     def settings(self, cell: int, replicate: int) -> tuple[str, ...]:
         """Settings of a run beyond the experiment's file, for the option `--set`.
+
+        In order, later ones prevailing: `DEFAULT_SETTINGS`, the campaign's, the cell's, the
+        replicate's seed.
 
         Args:
             cell: Number of the cell.

@@ -26,7 +26,7 @@ COLUMN_HEADS = ("cell", "estimate", "runs", "error [%]", "coverage [%]", "interv
 
 
 def print_plan(out: Console, campaign: Campaign) -> None:
-    """Print the cells of a campaign, the number of runs, and the first run's command.
+    """Print a campaign's first `MAX_LISTED` cells, numbers of runs, and the first run's command.
 
     Args:
         out: Console.
@@ -48,7 +48,7 @@ def print_plan(out: Console, campaign: Campaign) -> None:
 
 
 def print_campaign(out: Console, results: Results) -> None:
-    """Print the summary of a campaign and its failed runs.
+    """Print the first `MAX_LISTED` failed runs of a campaign, and its summary by cell.
 
     Args:
         out: Console.
@@ -65,7 +65,7 @@ def print_campaign(out: Console, results: Results) -> None:
 
 
 def write_campaign_page(path: Path, results: Results) -> None:
-    """Write the HTML page of a campaign.
+    """Write the HTML page of a campaign: claim, errors and coverage by cell, failed runs.
 
     Args:
         path: The HTML file; an existing file is replaced.
@@ -83,7 +83,7 @@ def write_campaign_page(path: Path, results: Results) -> None:
 
 
 def cells_figure(cells: Sequence[CellSummary]) -> Section:
-    """Figure of error and coverage of every estimator in every cell.
+    """Figure of error and coverage by cell, a colour for each estimator, with the table.
 
     Args:
         cells: Summary of the campaign by cell and estimator.
@@ -119,7 +119,9 @@ def cells_figure(cells: Sequence[CellSummary]) -> Section:
 def _cell_values(
     cells: Sequence[CellSummary], method: str, numbers: Sequence[int]
 ) -> Array:
-    """Error, coverage and confidence bounds by cell [%], (4, cells); NaN where missing.
+    """Error, coverage, lower and upper confidence bound by cell [%], (4, cells).
+
+    NaN for a cell without this estimator.
 
     Args:
         cells: Summary of the campaign.
@@ -135,7 +137,7 @@ def _cell_values(
 
 
 def _summary_table(cells: Sequence[CellSummary]) -> Table:
-    """Table of error and coverage by cell and estimator."""
+    """Table of error and coverage by cell and estimator (`COLUMN_HEADS`), with text cells."""
     rows = []
     for each in cells:
         low, high = each.bounds
@@ -154,7 +156,10 @@ def _summary_table(cells: Sequence[CellSummary]) -> Table:
 
 
 def _levels_text(levels: Mapping[str, Level]) -> str:
-    """Levels of a cell as text: "factor = level", separated by commas."""
+    """Levels of a cell as text: "factor = level", separated by commas.
+
+    Without factors: "the experiment as it is".
+    """
     parts = (
         f"{name} = {level if isinstance(level, str) else f'{level:g}'}"
         for name, level in levels.items()

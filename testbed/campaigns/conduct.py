@@ -47,7 +47,8 @@ class CampaignRun:
     """Run of a campaign, identified by a hash.
 
     Attributes:
-        digest: Hash of all inputs that determine the result.
+        digest: Hash of all inputs that determine the result: experiment, methods, contents of model
+            and motion files, versions of code and packages.
         cell: Number of the cell.
         replicate: Number of the replicate.
     """
@@ -82,14 +83,14 @@ def campaign_runs(campaign: Campaign) -> list[CampaignRun]:
 
 
 def _model_digest(path: str) -> str:
-    """Digest of a model file and of all files that it refers to."""
+    """Hashes of a model file and its referenced files, as text in order of paths."""
     files = sorted({Path(path).resolve(), *referenced_files(Path(path))})
     return " ".join(sha256_of_file(file) for file in files)
 
 
 @cache
 def code_version() -> str:
-    """Digest of the package's modules and of the versions of its dependencies."""
+    """Hash of the contents of testbed's modules and of the versions of its dependencies."""
     package_folder = Path(testbed.__file__).parent
     digest = hashlib.sha256(repr(sorted(package_versions().items())).encode())
     for path in sorted(package_folder.rglob("*.py")):
@@ -106,15 +107,19 @@ def conduct(
 ) -> None:
     """Carry out a campaign's runs that have no result, and write the table.
 
+    Failed runs of an earlier call are repeated. Rows of finished runs are written even if an
+    exception ends the call.
+
     Args:
         campaign: The campaign.
-        folder: Folder of the table, which is written again every few seconds.
+        folder: Folder of the table (`RESULTS_FILE`), written again every `SAVE_EVERY` seconds.
         workers: Number of processes; 0 for this process.
-        limit: Largest number of runs; default all.
-        progress: Called with the number of rows and of runs.
+        limit: Largest number of runs to carry out; default all.
+        progress: Called with the numbers of rows and of all runs.
 
     Raises:
-        TestbedError: The table is another campaign's, cannot be read, or a process has died.
+        TestbedError: The table is another campaign's, cannot be read, or a process has died. Errors
+            of single runs are recorded in their rows (`carry_out_run`).
     """
     path, runs = folder / RESULTS_FILE, campaign_runs(campaign)
     rows = _finished_rows(path, runs)
@@ -140,14 +145,14 @@ def conduct(
 def _finished_rows(
     path: Path, runs: Sequence[CampaignRun]
 ) -> dict[str, dict[str, Any]]:
-    """Rows of the table with a result, by run; empty without a table.
+    """Rows of the table with status "done", by the run's digest; empty without a table.
 
     Args:
         path: File of the table.
         runs: Runs of the campaign.
 
     Raises:
-        ExperimentError: The folder is no campaign's, or has other runs.
+        ExperimentError: The folder has other files but no table, or the table other runs.
     """
     if not path.exists():
         if path.parent.exists() and any(path.parent.iterdir()):
@@ -174,13 +179,13 @@ def _write_table(
     runs: Sequence[CampaignRun],
     rows: Mapping[str, Mapping[str, Any]],
 ) -> None:
-    """Write the available rows, each with run, cell, replicate and levels.
+    """Write the available rows in the order of runs, with digest, cell, replicate, levels.
 
     Args:
         path: File of the table.
         campaign: The campaign.
         runs: Runs of the campaign.
-        rows: Rows with a result, by run.
+        rows: Rows with a result, by the run's digest.
     """
     table = []
     for run in runs:
@@ -196,7 +201,13 @@ def _write_table(
 def _result_rows(
     campaign: Campaign, runs: Sequence[CampaignRun], workers: int
 ) -> Generator[dict[str, Any]]:
-    """Carry out runs and yield their rows in order, on worker processes if any."""
+    """Carry out runs on worker processes and yield their rows in the given order.
+
+    Args:
+        campaign: The campaign.
+        runs: Runs to carry out.
+        workers: Number of processes; 0 for this process.
+    """
     run_in_campaign = partial(carry_out_run, campaign)
     if not workers:
         yield from map(run_in_campaign, runs)
@@ -215,7 +226,9 @@ def _ignore_interrupts() -> None:
 
 
 def carry_out_run(campaign: Campaign, run: CampaignRun) -> dict[str, Any]:
-    """Carry out a run and return a row with results or with the error.
+    """Carry out a run and return its table row, with results or the error's text.
+
+    An exception gives status "failed" instead of "done" and is not raised.
 
     Args:
         campaign: The campaign.
@@ -236,7 +249,14 @@ def carry_out_run(campaign: Campaign, run: CampaignRun) -> dict[str, Any]:
 
 
 def _result_columns(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
-    """Metrics, estimates and diagnostics of an experiment, by column.
+    """Metrics, estimates and codes of diagnostics of a simulated experiment, by column.
+
+    Columns "metric/NAME", "estimates" (a dictionary for each parameter with method, name, truth,
+    value, sigma and relative error) and "diagnostics".
+
+    Args:
+        experiment: Experiment of the run.
+        campaign: The campaign, for the methods of identification.
 
     Raises:
         ExperimentError: No estimate succeeded.

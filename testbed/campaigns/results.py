@@ -60,7 +60,8 @@ def write_rows(
     Args:
         path: The file.
         campaign: The campaign of the runs.
-        rows: A row for each run.
+        rows: Row of each run by the names of `COLUMNS`, "factor/NAME" and "metric/NAME"; missing
+            values are null.
     """
     columns = dict(COLUMNS)
     for k, name in enumerate(campaign.factors):
@@ -98,6 +99,8 @@ class Results:
 
 def read_campaign_results(path: Path) -> Results:
     """Read the results table of a campaign and check its schema.
+
+    Columns beyond `COLUMNS`, factors and metrics are ignored.
 
     Args:
         path: The file.

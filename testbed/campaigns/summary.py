@@ -46,7 +46,9 @@ class CellSummary:
 
 
 def summarise(rows: Iterable[Row]) -> list[CellSummary]:
-    """Summarise the rows of a campaign's table, by cell and estimator.
+    """Errors and coverage from the rows of a campaign's table, by cell, then by estimator.
+
+    Failed runs are ignored; a cell without successful runs has no summary.
 
     Args:
         rows: Rows, as dictionaries.
@@ -62,7 +64,9 @@ def summarise(rows: Iterable[Row]) -> list[CellSummary]:
 
 
 def _cell_summaries(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
-    """Summaries of the estimators that have errors in a cell.
+    """Yield the summaries of a cell's estimators, in the order of `ESTIMATORS`.
+
+    An estimator is left out if no run of the cell has its error metric.
 
     Args:
         cell: Number of the cell.
@@ -94,6 +98,8 @@ def _cell_summaries(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
 def _intervals_with_truth(row: Row, method: str) -> list[bool]:
     """True for each 95 % confidence interval of a run that contains the true value.
 
+    Parameters without a finite standard deviation have no interval.
+
     Args:
         row: Row of the run.
         method: Name of the estimator.
@@ -110,11 +116,15 @@ def coverage_with_interval(
 ) -> tuple[float, float, float]:
     """Coverage and 95 % confidence interval by E. L. Korn and B. I. Graubard.
 
-    The interval is that of C. J. Clopper and E. S. Pearson for an effective number of independent
-    intervals: intervals of one run share its noise.
+    Coverage is the mean over runs of the share of intervals with the true value. Its interval is
+    that of C. J. Clopper and E. S. Pearson for an effective number of independent intervals, from
+    the variance between runs: intervals of one run share its noise.
 
     Args:
         runs: For each run, True for each confidence interval that contains the true value.
+
+    Returns:
+        Coverage, lower and upper bound; NaN without runs.
     """
     if not runs:
         return np.nan, np.nan, np.nan

@@ -64,15 +64,19 @@ class PayloadOutputOptions:
             )
 
     def flange_link(self, reading: ReadingOptions, tree: Tree) -> ModelLink | None:
-        """Flange link, placed in the bodies of a tree; None without --flange.
+        """Link named by --flange, its `body` an index into the joints of a tree.
 
         Args:
             reading: Options of the model file.
             tree: The robot, possibly with locked joints.
 
+        Returns:
+            The link; `body` is -1 if its joint is locked or it belongs to the root. None without
+            --flange; --as is checked first in any case.
+
         Raises:
             SettingsError: --flange is given without --as.
-            UnknownName: There is no such controller or link.
+            UnknownName: The controller is not in `VENDOR_WRITERS`, or the file has no such link.
         """
         from testbed.applications.payload.vendors import VENDOR_WRITERS
 
@@ -99,10 +103,13 @@ class PayloadOutputOptions:
     ) -> None:
         """Print a payload as a table, as JSON, or in a controller's format.
 
+        With the controller's format, diagnostics go to standard error; with JSON, only those in the
+        estimate are printed.
+
         Args:
             payload: Estimate of the payload.
             tree: The robot.
-            link: Flange link; None for the estimate's own frame.
+            link: Link with the frame of the controller's format; None for the estimate's own frame.
             diagnostics: Diagnostics to print.
             title: Title of the table; default the name of the carrying link.
         """
@@ -369,15 +376,15 @@ def drives(
 
 
 def _replay_lines(reading: ReadingOptions, unseen: Path, written: Path) -> list[str]:
-    """Lines on original and written model, simulated with the torques of an unseen motion.
+    """Lines comparing original and written model, each simulated open-loop from recorded torques.
 
     Args:
         reading: Options of the original model file.
-        unseen: Recording of the motion.
-        written: Written model file.
+        unseen: Recording (Parquet) with torques, of a motion not used for the estimate.
+        written: Written model file, read with the same options.
 
     Returns:
-        Lines with the rms position errors of both models.
+        Lines with the rms errors of both models' positions against the recorded positions.
     """
     from testbed.core.recordings.recording import Recording
     from testbed.lab.simulation.replay import replay_errors

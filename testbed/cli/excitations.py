@@ -135,9 +135,11 @@ def excite(
 
 
 class _SearchProgress:
-    """Progress of the search: estimated time of all steps, and best standard deviation.
+    """Progress of the search: largest time of all steps, and best standard deviation so far.
 
-    Called after each step.
+    Called after each step with (searches done, searches in total, best criterion). The time is the
+    mean of the steps so far, times `MAX_SEARCH_STEPS` per search. Without a terminal, a note with
+    this time is printed once, after `TIMED_STEPS` steps.
     """
 
     def __init__(self, progress: Progress) -> None:
@@ -169,7 +171,11 @@ class _SearchProgress:
 
 @contextmanager
 def _interrupt_flag() -> Iterator[Callable[[], bool]]:
-    """Context manager for a test whether Ctrl-C was pressed; a second Ctrl-C interrupts."""
+    """Context manager with a function that returns True after Ctrl-C; a second Ctrl-C interrupts.
+
+    The first Ctrl-C only sets the flag and restores the previous handler, as does the end of the
+    block.
+    """
     interrupts: list[bool] = []
     previous_handler = signal.getsignal(signal.SIGINT)
 
@@ -185,7 +191,15 @@ def _interrupt_flag() -> Iterator[Callable[[], bool]]:
 
 
 def _load_experiment(file: Path, settings: list[str]) -> Experiment:
-    """Load an experiment from a file, or the default experiment of a model file."""
+    """Load an experiment from a .toml file, or the default experiment of a model file.
+
+    For a model file, inconsistent bodies are replaced by the nearest consistent bodies, with notes
+    on standard error.
+
+    Args:
+        file: Experiment file or model file.
+        settings: Values of --set, which override the experiment.
+    """
     from testbed.lab.experiment.experiment import Experiment
 
     if file.suffix.lower() == ".toml":
@@ -196,7 +210,11 @@ def _load_experiment(file: Path, settings: list[str]) -> Experiment:
 
 
 def _reject_design_options(options: Mapping[str, Path | None]) -> None:
-    """Raise BadParameter if an option of the design is given with --check."""
+    """Raise BadParameter if an option of the design is given with --check.
+
+    Args:
+        options: Values of the design's options by name; None for an option that is not given.
+    """
     design_options = [name for name, value in options.items() if value is not None]
     if design_options:
         raise typer.BadParameter(
@@ -207,7 +225,17 @@ def _reject_design_options(options: Mapping[str, Path | None]) -> None:
 def _print_motion_proof(
     file: Path, settings: list[str], *, everything: bool, as_json: bool
 ) -> None:
-    """Print the proof of a motion's limits; exit code 1 if one is exceeded."""
+    """Print the margins of a motion to all limits and exit, with code 1 if a limit is exceeded.
+
+    Args:
+        file: Motion file.
+        settings: Values of --set, which override the motion's experiment.
+        everything: True to print all limits.
+        as_json: True to print the proof as JSON, without diagnostics.
+
+    Raises:
+        Exit: Always: code 0 if the limits are proven at every moment, else 1.
+    """
     from testbed.core.base.codec import to_json_values
     from testbed.lab.experiment.motions import prove_motion_file
     from testbed.view import output

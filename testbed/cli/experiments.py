@@ -126,7 +126,10 @@ def _ignore_sample(time: Array, truth: Truth) -> None:
 
 
 def _live_view(experiment: Experiment) -> BlockCallback:
-    """Callback that shows the simulation in an open viewer."""
+    """Callback that sends simulated samples to an open Rerun viewer.
+
+    Diagnostics of the robot's meshes are printed as notes.
+    """
     from testbed.bodies.shapes.appearance import load_appearance
     from testbed.lab.experiment.rig import robot_of
     from testbed.view.viewer.live import LiveViewer

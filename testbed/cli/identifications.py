@@ -52,7 +52,8 @@ class BodyOptions:
     Attributes:
         consistent: True to compute physically consistent bodies.
         write: Model file to write; None for no file.
-        fixed: Treatment of the mass of links fixed to each other.
+        fixed: Mass of links fixed to each other in the written file: "lump" for all in one link,
+            "share" for its distribution among the links.
         in_place: True to allow `write` to be the model file itself.
         force: True to replace an existing file.
     """
@@ -79,15 +80,17 @@ class BodyOptions:
         return self.consistent or self.write is not None
 
     def check(self, reading: ReadingOptions, recordings: Sequence[Path]) -> None:
-        """Check, before the estimation, the options and the file to be written.
+        """Check, before the estimation, options for bodies and the file of --write.
 
         Args:
             reading: Options of model file and recordings.
             recordings: Recordings, which must not be replaced.
 
         Raises:
-            ModelError: The file may not be written.
-            SettingsError: Options for consistent bodies are given, but bodies are not computed.
+            ModelError: The file has the wrong extension, or is the model file without --in-place.
+            BadParameter: The file exists and --force is not given.
+            SettingsError: --set consistent... (but prior_error) without --consistent or --write,
+                or --in-place without --write.
         """
         from testbed.bodies.consistency.options import ConsistencyOptions
         from testbed.bodies.write_model import check_copy_path
@@ -114,14 +117,19 @@ class BodyOptions:
         drives: DriveIdentification | None = None,
         delay: float = 0.0,
     ) -> tuple[Diagnostic, ...]:
-        """Write the model file of --write, if any; returns diagnostics of bodies and file.
+        """Write a copy of the model file with consistent bodies to the path of --write.
+
+        Without --write nothing is written. The comment in the copy lists recordings and methods.
 
         Args:
             bodies: Consistent bodies.
             reading: Options of the model file.
             recordings: Recordings of the estimate, for the provenance comment.
             drives: Drives whose friction, rotors and torque constants are also written.
-            delay: Delay of the drives behind their commands [s].
+            delay: Delay of the drives behind their commands [s], for the motors of an MJCF file.
+
+        Returns:
+            Diagnostics of the bodies, then of the written file.
 
         Raises:
             ModelError: The file cannot be written.
@@ -283,7 +291,11 @@ def identify(
 
 
 def _missing_signals(methods: Iterable[Signal]) -> list[Diagnostic]:
-    """Diagnostics for methods whose signal is missing in the recording."""
+    """Diagnostics "estimate.no-signal", one for each given method.
+
+    Args:
+        methods: Methods ("wrench", "torque") whose signal the recording lacks.
+    """
     from testbed.core.estimation.estimate import METHOD_LABELS
 
     return [

@@ -42,19 +42,22 @@ def write_mapping(
     reading: ReadingOptions,
     page: Path | None = None,
 ) -> MappingSolution | None:
-    """Solve the mapping of logs, write it, and print the next command.
+    """Solve the mapping file of logs, write it, and print the next command.
+
+    Notes on standard error name the keys that are left empty, with their line numbers.
 
     Args:
         files: Log files of other programs.
         out: Mapping file to write; None to print the mapping.
         reading: Options of the robot's model file, if a model is given.
-        page: HTML file to write about the solution.
+        page: HTML file with the solution to write; None for no page.
 
     Returns:
-        The solved mapping; None if it is incomplete or was printed.
+        The solved mapping; None if keys are left empty (`missing_keys`) or it was printed.
 
     Raises:
-        TestbedError: The data contradict the mapping, which is written as far as it is solved.
+        RecordingError: The data contradict the mapping, which is first written as far as solved;
+            the message has its line.
     """
     from testbed.core.base.files import replace_together
     from testbed.core.base.whole_files import write_atomically
@@ -105,14 +108,18 @@ def write_mapping(
 def _solve_and_print(
     files: Sequence[Path], mapping_path: Path, reading: ReadingOptions
 ) -> MappingSolution:
-    """Solve a mapping by column names and, for a given robot, by the data.
+    """Solve a mapping by column names and, for a given model, by the data.
 
-    Prints the diagnostics of the solution.
+    Without a model the draft from the column names is returned and nothing is printed. Otherwise
+    diagnostics of solution, locked joints and robot are printed; --gravity overrides the draft.
 
     Args:
         files: Log files.
-        mapping_path: Mapping file, to which paths are relative.
+        mapping_path: Mapping file, to whose folder paths are relative.
         reading: Options of the robot's model file.
+
+    Returns:
+        The solution; a contradiction by the data is in its `error` and not raised.
     """
     from testbed.core.robot.gravity import mounting_name
     from testbed.core.robot.placeholders import find_placeholders
@@ -145,7 +152,13 @@ def _solve_and_print(
 def _refusal_with_line(
     refusal: Exception, draft: MappingDraft, mapping_path: Path
 ) -> RecordingError:
-    """Error of a refused mapping, with the line number of the key in question."""
+    """Error of a refused mapping, as "file:line: reason".
+
+    Args:
+        refusal: Error; a part "[table] key" of its message gives the line, else it is line 1.
+        draft: Draft of the mapping, with the text.
+        mapping_path: Mapping file.
+    """
     reason = str(refusal).removeprefix(f"{mapping_path}: ")
     match = re.search(r"\[([\w.]+)\] (\w+)", reason)
     number = draft.line_number(f"{match[1]}.{match[2]}") if match else 1
@@ -270,8 +283,8 @@ def _print_imports(
 
     Args:
         imports: Import reports as dictionaries, one per recording.
-        lines: Further lines.
-        cuts: Diagnostics of the places where the recording was cut.
+        lines: Lines printed below those of the reports.
+        cuts: Diagnostics of the gaps at which the recording was cut, printed first.
         report: Report of the plausibility check.
     """
     from testbed.importing.import_report import ImportReport
@@ -288,11 +301,11 @@ def _print_imports(
 
 
 def _time_offset_lines(report: CheckReport, correction: str) -> Iterator[str]:
-    """Lines with the time offsets of signals.
+    """Yield a line with the time offset of each signal to the positions.
 
     Args:
-        report: Report of the plausibility check.
-        correction: Text behind a significant offset.
+        report: Report of the plausibility check, with the offsets.
+        correction: Text after a significant offset; others end in ", not significant".
     """
     for each in report.offsets:
         yield each.diagnostic().text + (
@@ -313,10 +326,14 @@ def checked_import(
         mapping: Mapping file.
         reading: Options of the model file; without a model the check is skipped.
         align: True to correct delays and drifts of clocks.
-        prepared: Recordings that are already imported.
+        prepared: Recordings of the mapping that are already imported, to save the import.
 
     Returns:
-        Recordings, diagnostics of the cuts between these, and report of the check.
+        Recordings, diagnostics of the cuts between these, and report of the check (empty without a
+        model).
+
+    Raises:
+        RecordingError: The longest recording contradicts the robot.
     """
     from testbed.importing.check.check import CheckReport, import_and_check
     from testbed.importing.convert import import_recordings

@@ -30,8 +30,8 @@ INPUT_ERROR, PROGRAM_ERROR, INTERRUPTED, BROKEN_PIPE = 2, 70, 130, 141
 def main() -> None:
     """Run the command of the command line and exit with its code.
 
-    Errors in the input give one line and exit code 2. Slow imports are in `_command`, so that
-    Ctrl-C works from the start.
+    Any exception becomes a message on standard error and an exit code (module docstring). Slow
+    imports are in `_command`, so that Ctrl-C works from the start.
     """
     interrupts, reserve = _Interrupts(), bytearray(RESERVED_BYTES)
     gc.set_threshold(COLLECTION_THRESHOLD)
@@ -56,9 +56,10 @@ def main() -> None:
 class _Interrupts:
     """Signal handlers: the first Ctrl-C raises KeyboardInterrupt, the second ends the process.
 
-    SIGTERM and SIGHUP are treated alike. An interrupted import may raise another exception
-    instead: `interrupted` is True after an interrupt. An exception that Python discards, as in a
-    callback, is raised again after a moment.
+    SIGTERM and SIGHUP are treated as Ctrl-C; signals ignored by the parent stay ignored. An
+    interrupted import may raise another exception instead: `interrupted` is True after any of these
+    signals. A KeyboardInterrupt that Python discards, as in a callback, is raised again after 10
+    ms.
     """
 
     def __init__(self) -> None:
@@ -84,7 +85,10 @@ class _Interrupts:
         raise KeyboardInterrupt
 
     def _repeat_interrupt(self, unraisable: sys.UnraisableHookArgs) -> None:
-        """Handle an unraisable exception: a discarded interrupt is repeated by a timer."""
+        """Handle an exception that Python discards: repeat an interrupt by a timer of 10 ms.
+
+        Other exceptions, and platforms without timers, use Python's default hook.
+        """
         if (
             self.interrupted
             and unraisable.exc_type is KeyboardInterrupt
@@ -107,7 +111,10 @@ class _Interrupts:
 
 
 def _prepare_streams() -> None:
-    """Replace closed standard streams by the null device; make output accept any text."""
+    """Replace closed standard streams by the null device, and escape unencodable characters.
+
+    Characters that the encoding of standard output lacks become backslash escapes.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         # in this order each stream gets its standard file descriptor
         if getattr(sys, name) is None:
@@ -118,7 +125,11 @@ def _prepare_streams() -> None:
 
 
 def _command() -> int:
-    """Run the command of the command line; returns the exit code."""
+    """Run the command of the command line and return the exit code.
+
+    Sets the warning filter and environment variables of MuJoCo and Matplotlib. Errors of the
+    command are raised.
+    """
     import warnings
 
     from testbed.cli.commands import app
@@ -141,7 +152,12 @@ def _command() -> int:
 
 
 def _print_error(error: BaseException) -> int:
-    """Print the message of an error in one line; returns the exit code."""
+    """Print the message of an error in one line and return the exit code.
+
+    Code 2 for `TestbedError`, operating system, memory, nesting, encoding and options; 70 for a
+    library that fails to load and, after a traceback, for other exceptions; 141 without a message
+    for a closed pipe.
+    """
     from testbed.core.base.errors import TestbedError
 
     code, message = INPUT_ERROR, str(error)
@@ -187,7 +203,7 @@ def _print_error(error: BaseException) -> int:
 
 
 def _print_line(message: str) -> None:
-    """Print one line on standard error."""
+    """Print one line on standard error, prefixed by "testbed: "; a closed pipe is ignored."""
     from testbed.core.base.errors import printable_line
 
     try:
@@ -200,7 +216,7 @@ def _print_line(message: str) -> None:
 def _flush_output(code: int) -> int:
     """Flush standard output and return the exit code.
 
-    A closed pipe is ignored; the interpreter would print several lines about it.
+    After an OSError, as of a closed pipe, remaining output is discarded, and the code is unchanged.
     """
     try:
         sys.stdout.flush()
@@ -210,5 +226,5 @@ def _flush_output(code: int) -> int:
 
 
 def _discard_output(stream: TextIO) -> None:
-    """Redirect a stream to the null device, before the interpreter's last flush."""
+    """Redirect a stream to the null device, so that the flush at exit cannot fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -230,9 +230,15 @@ def equations(
 def _identifiable_parameters(
     tree: Tree, gravity: GravityVector | None, known: bool | list[str]
 ) -> tuple[InstrumentIdentifiability, ...]:
-    """Parameters that each sensor identifies.
+    """Identifiability of every standard parameter by each instrument, as by `identifiability`.
 
     A function of its own, as it imports SciPy's sparse matrices, which takes a third of a second.
+
+    Args:
+        tree: The robot.
+        gravity: Gravity, bedplate frame [m/s^2]; None for the model file's.
+        known: Barycentric parameters known to be zero: names, or True for all that are zero in the
+            model file.
     """
     from testbed.core.parameters.identifiability import identifiability
 
@@ -247,9 +253,12 @@ def _print_comparison(
     zeros: bool | list[str],
     max_terms: int,
 ) -> NoReturn:
-    """Print the differences between a listing and the robot's equations.
+    """Print, for each equation of a listing, "equal" or the listing less the robot's equation.
 
-    The exit code is 1 if there are any. Arguments as for `compare_equations`.
+    Arguments as for `compare_equations`, with the listing read from a file.
+
+    Raises:
+        Exit: Always: code 1 if an equation differs, else 0.
     """
     from testbed.core.base.contents import read_text
     from testbed.equations.compare import CHARACTERS_PER_TERM, compare_equations
@@ -304,10 +313,10 @@ def list_(kind: Kind = None) -> None:
 
 
 def _print_kind(entry: KindDescription, key: str) -> None:
-    """Print a kind's summary, its keys and an example.
+    """Print summary, keys with defaults, source of the size, and example of an error or effect.
 
     Args:
-        entry: Description of the kind.
+        entry: Description of the kind of sensor error or plant effect.
         key: Key of an experiment file that takes the kind.
     """
     typer.echo("\n".join(filter(None, (entry.summary, entry.details))))

@@ -37,7 +37,8 @@ def open_recording(path: Path) -> Source:
     """Open a recording, or import the recording of a mapping file.
 
     Args:
-        path: Recording (Parquet), whose data stay in the file, or mapping file (TOML).
+        path: Mapping file (.toml), whose logs are read into memory, or recording (Parquet), whose
+            data stay in the file.
 
     Raises:
         RecordingError: The file is no recording.
@@ -53,12 +54,12 @@ def open_recording(path: Path) -> Source:
 
 
 def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:
-    """Recording with the plate's calibration applied to the wrench.
+    """Recording with the calibrated errors of the plate removed from the wrench.
 
     Args:
         source: The recording.
         tree: The robot.
-        plate: Calibration file of the plate; None for no correction.
+        plate: Calibration file of the plate; None returns the recording unchanged.
     """
     from testbed.applications.calibration import corrected
     from testbed.lab.experiment.plate_file import read_calibration

@@ -20,10 +20,10 @@ Command = TypeVar("Command", bound=Callable[..., None])
 
 
 def ending(*endings: str) -> Callable[[Path | None], Path | None]:
-    """Callback that checks the suffix of an output file.
+    """Callback that returns the path of an output file, or raises BadParameter for its suffix.
 
     Args:
-        endings: Allowed suffixes, such as ".html".
+        *endings: Allowed suffixes in lower case, such as ".html"; case of the path is ignored.
     """
 
     def check_suffix(path: Path | None) -> Path | None:
@@ -45,14 +45,14 @@ def check_outputs(
     """Check, before the work, that a command may write its outputs.
 
     Args:
-        paths: Files to write; None is skipped.
+        *paths: Files to write; None is skipped.
         force: True to replace existing files.
         folder: True if the paths are folders.
         read: Input files, which are never replaced; None is skipped.
 
     Raises:
-        BadParameter: A file exists, or a folder is not empty.
-        OSError: As `check_writable`.
+        BadParameter: A file exists, or a folder is not empty, and `force` is False.
+        OSError: An output cannot be written, is an input, or occurs twice.
     """
     from testbed.core.base.files import check_writable
 
@@ -70,7 +70,7 @@ def check_outputs(
 
 
 class GravityVector(NamedTuple):
-    """Gravity of --gravity, from three numbers, such as 0,0,-9.81, or a word."""
+    """Gravity of --gravity in the bedplate frame, (x, y, z) [m/s^2]."""
 
     x: float
     y: float
@@ -84,7 +84,10 @@ class GravityVector(NamedTuple):
         """Parse gravity from the value of --gravity.
 
         Args:
-            word: Three numbers, or a mounting such as `wall +x`.
+            word: Three numbers, such as 0,0,-9.81, or a mounting such as `wall +x`.
+
+        Raises:
+            BadParameter: The word is neither.
         """
         try:
             return GravityVector(*parse_gravity(word))
@@ -93,7 +96,11 @@ class GravityVector(NamedTuple):
 
 
 def join_gravity_words(words: list[str]) -> list[str]:
-    """Arguments with a gravity of several words, such as `0 0 -9.81`, joined to one."""
+    """Command-line arguments with the words after the first --gravity joined to one.
+
+    Two words are tried, then three (`wall +x`, `0 0 -9.81`); words that are no gravity are left
+    unchanged.
+    """
     start = [*words, "--gravity"].index("--gravity") + 1
     for end in (start + 2, start + 3):
         joined = " ".join(words[start:end])
@@ -117,18 +124,19 @@ app = typer.Typer(
 
 
 class OptionFields:
-    """Annotation of a parameter: fields of its dataclass that are options of the command.
+    """Annotation of a parameter: which fields of its dataclass are options of the command.
 
     Attributes:
         names: Names of the fields, in the order of the help.
-        required: Types of required options, by name; these come first.
+        required: Annotated types of options that must be given, by field; these come first and
+            replace type and default of the field.
     """
 
     def __init__(self, *names: str, **required: Any) -> None:
         self.names, self.required = (*required, *names), required
 
     def parameters(self, group: Any) -> list[Parameter]:
-        """Options as keyword-only parameters of a function.
+        """Keyword-only parameters of a signature, one per field in `names`.
 
         Args:
             group: Dataclass of the options.
@@ -145,9 +153,10 @@ def _parameter(name: str, hint: Any, default: Any) -> Parameter:
 
 
 def command(name: str | None = None) -> Callable[[Command], Command]:
-    """Register a function as a command, with parameters annotated by `Fields` expanded.
+    """Decorator that registers a function as a command, with option groups expanded.
 
-    Such a parameter is a dataclass; its fields become separate options.
+    A parameter annotated by `OptionFields` is a dataclass; the fields named there become separate
+    options, from which the command builds the dataclass. The function itself is returned unchanged.
 
     Args:
         name: Name of the command; default the function's name.
@@ -274,7 +283,7 @@ Gravity = Annotated[
 def settings_with_gravity(
     settings: list[str] | None, gravity: GravityVector | None
 ) -> list[str]:
-    """Settings of --set, with --gravity appended as a setting.
+    """Settings of --set, followed by --gravity as a setting "gravity=[x, y, z]".
 
     Args:
         settings: Values of --set; None for none.

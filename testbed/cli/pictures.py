@@ -120,13 +120,13 @@ def view(
 def _show_file(
     path: Path, diagnostics: list[Diagnostic], serve: bool, open_window: bool, port: int
 ) -> None:
-    """Print diagnostics and size of a written file, and open it.
+    """Print diagnostics and size of a written .rrd file, and open the viewer.
 
     Args:
         path: Written .rrd file.
         diagnostics: Diagnostics to print.
-        serve: True to show it in a browser.
-        open_window: True to open the viewer.
+        serve: True to serve the viewer to a browser; precedes `open_window`.
+        open_window: True to replace this process by the viewer.
         port: Port of the page for the browser.
     """
     from testbed.view import output
@@ -145,12 +145,16 @@ def _show_file(
 def _write_motion_view(
     file: Path, settings: Sequence[str], path: Path
 ) -> list[Diagnostic]:
-    """Write the view of a motion file with its proof; returns diagnostics.
+    """Write the .rrd file of a motion: robot, obstacles, and margins to the limits.
 
     Args:
         file: Motion file.
         settings: Values of --set.
         path: .rrd file to write.
+
+    Returns:
+        Diagnostics of robot, meshes and limits; first "motion.not-proven" if a limit is exceeded
+        or not proven.
     """
     from testbed.bodies.shapes.appearance import load_appearance
     from testbed.lab.experiment.motions import obstacle_shapes, prove_motion_file
@@ -242,7 +246,11 @@ def report(
 
 
 def _sibling_path(run: Path, ending: str) -> Path:
-    """Path next to a run, with the name of the run and another suffix."""
+    """Path next to a run, with the name of the run and another suffix.
+
+    A suffix .parquet or .toml of the run is replaced; symbolic links and "." are resolved for the
+    name.
+    """
     real_path = Path(os.path.realpath(run))  # does not fail for circular links
     name = real_path.name.removesuffix(".parquet").removesuffix(".toml") + ending
     return (run.parent if run.name else real_path.parent) / name
@@ -255,11 +263,11 @@ def _reject_recording_options(
     consistent: bool = False,
     other: Path | None = None,
 ) -> None:
-    """Raise ExperimentError if options for recordings are given with run folders only.
+    """Raise ExperimentError if all paths are run folders and options for recordings are given.
 
     Args:
         paths: Run folders and recordings.
-        reading: Options of model file and recordings.
+        reading: Options of model file and recordings; any but --unchecked is for recordings only.
         consistent: True if consistent bodies are requested.
         other: Recording for validation.
     """
@@ -280,10 +288,17 @@ def _reject_recording_options(
 def _load_run(path: Path, reading: ReadingOptions, *, consistent: bool = False) -> Run:
     """Load the run of a run folder, or identify a recording and build a run.
 
+    Joints at rest in a recording are locked. Its run has the diagnostics of plausibility check,
+    estimates and model file.
+
     Args:
         path: Run folder, recording or mapping file.
         reading: Options of model file and recordings.
         consistent: True to compute consistent bodies for a recording.
+
+    Raises:
+        ExperimentError: The path does not exist, is a campaign folder, or is a recording without
+            --model.
     """
     from testbed.core.base.errors import ExperimentError
     from testbed.core.robot.placeholders import find_placeholders
@@ -328,7 +343,7 @@ def _load_run(path: Path, reading: ReadingOptions, *, consistent: bool = False) 
 
 
 def _similar_run_hint(path: Path) -> str:
-    """Hint at existing runs whose names begin with the name of a missing path.
+    """Hint at up to three folders and recordings whose names begin with a missing path's name.
 
     Empty if there are none. The default name of a run folder ends in a hash.
     """
@@ -348,6 +363,8 @@ def _load_recording(
 ) -> tuple[ReadingOptions, Recording, Sequence[Diagnostic]]:
     """Load a recording into memory, with the plate's calibration applied, and check it.
 
+    Segments between gaps of the recording are gathered to one recording.
+
     Returns:
         Options for this recording, the recording, and diagnostics of the check.
     """
@@ -359,18 +376,21 @@ def _load_recording(
 
 
 def _as_recording(source: Source) -> Recording:
-    """Recording in memory from a source; a recording is returned unchanged, with its truth."""
+    """Recording in memory with all samples of a source.
+
+    A `Recording` is returned unchanged, with its simulated truth.
+    """
     from testbed.core.recordings.recording import Recording
 
     return source if isinstance(source, Recording) else source.part(0, source.samples)
 
 
 def _run_with_validation(run: Run, path: Path, reading: ReadingOptions) -> Run:
-    """Run with a validation of its estimates by another recording.
+    """Run with the residuals of its estimates on another recording, and the diagnostics.
 
     Args:
-        run: Run with a model file.
-        path: The other recording.
+        run: Run with a model file, whose locked joints apply to the other recording.
+        path: The other recording, or its mapping file.
         reading: Options of the other recording.
     """
     from testbed.lab.experiment.carry_out import with_validation

@@ -148,7 +148,7 @@ class ReadingOptions:
 
     @property
     def model_words(self) -> list[str]:
-        """Command-line arguments of the model and its reading options."""
+        """Command-line arguments --model (ROBOT if none), --set, --lock and flags, for print."""
         arguments = [("--model", str(self.model or "ROBOT"))]
         arguments += [("--set", each) for each in self.settings or ()]
         arguments += [("--lock", each) for each in self.lock or ()]
@@ -165,7 +165,7 @@ class ReadingOptions:
 
     @cached_property
     def tables(self) -> RecordingTables:
-        """Tables of settings for robot and identification, from all options.
+        """Tables [robot] and [identification], from --set and, overriding it, other options.
 
         Raises:
             ExperimentError: A setting of --set is invalid.
@@ -206,7 +206,7 @@ class ReadingOptions:
         Args:
             source: The recording.
             label: Text of the progress bar.
-            method: Measured signal, "wrench" or "torque".
+            method: Signal to fit, "wrench" or "torque".
         """
         from testbed.core.estimation.identify import identify
         from testbed.view.output import Progress
@@ -223,7 +223,7 @@ class ReadingOptions:
 
     @cached_property
     def file(self) -> ModelFile:
-        """Model file and reading options, such as locked joints.
+        """Model file with locks and root; --lock overrides [robot] of --set. `locked_file` if set.
 
         Raises:
             ModelError: A joint to be locked is given twice, or is no joint of the file.
@@ -252,7 +252,7 @@ class ReadingOptions:
 
     @cached_property
     def tree(self) -> Tree:
-        """Robot of the model file, with joints and shafts of --set, and a force sensor."""
+        """Robot with joints and shafts of --set; with --sensor the part beyond that sensor."""
         if not self.settings and self.sensor is None:
             return self.file.tree()
         return self.tables.sensed_part(
@@ -273,7 +273,7 @@ class ReadingOptions:
     def open_joined(
         self, paths: Sequence[Path]
     ) -> tuple[ReadingOptions, Source, list[Diagnostic]]:
-        """Open recordings as one source, each after a plausibility check.
+        """Open recordings as one source, each checked for plausibility if it was imported.
 
         Args:
             paths: Recordings or mapping files.
@@ -283,7 +283,7 @@ class ReadingOptions:
 
         Raises:
             RecordingError: A recording is implausible for this robot, or recordings differ in
-                channels.
+                channels, or a recording is given twice.
         """
         from testbed.core.recordings.joined import joined
         from testbed.view import output
@@ -306,7 +306,7 @@ class ReadingOptions:
     def open_segments(
         self, path: Path
     ) -> tuple[ReadingOptions, list[Source], tuple[Diagnostic, ...]]:
-        """Open a recording as segments without gaps, after a check of the longest segment.
+        """Open a recording as segments between its gaps, and check the longest segment.
 
         Args:
             path: Recording or mapping file.
@@ -332,7 +332,8 @@ class ReadingOptions:
     def for_recording(self, source: Source) -> tuple[ReadingOptions, Source]:
         """Adapt the options to a recording, and the recording to the robot.
 
-        Joints of --lock are locked at the recorded positions, and their columns left out.
+        Joints of --lock without =q are locked at the recorded mean, and their columns left out. A
+        joint that the recording lacks is locked at rest. --gravity replaces the recorded gravity.
 
         Args:
             source: The recording.
@@ -341,7 +342,7 @@ class ReadingOptions:
             Options for this recording; the recording with the robot's joints.
 
         Raises:
-            RecordingError: The recording moves a joint of --lock.
+            RecordingError: A joint of --lock moves by more than 0.01 rad or m.
         """
         from testbed.core.recordings.held import hold_still
         from testbed.core.recordings.views import adapt_to_robot, transform_source
@@ -383,13 +384,14 @@ class ReadingOptions:
         return self
 
     def with_sensors(self, source: Source, *, alone: bool = False) -> ReadingOptions:
-        """Options with the recording's force sensors, if --set does not define these.
+        """Options with the recording's force sensors; those already in `sensors` take precedence.
 
-        A single sensor is selected in a recording without plate and torques.
+        A single sensor becomes --sensor (if not given) in a recording without plate and torques.
 
         Args:
             source: The recording.
-            alone: True to add the sensor of --sensor only, with all bodies beyond it.
+            alone: True to add only the sensor of --sensor, whose part then includes all links
+                beyond it.
         """
         sensor_places = source.metadata.sensors
         if "sensors" not in source.signals:
@@ -411,9 +413,10 @@ class ReadingOptions:
     def with_resting_joints_locked(
         self, source: Source, check_diagnostics: Sequence[Diagnostic] = ()
     ) -> tuple[ReadingOptions, Source, list[Diagnostic]]:
-        """Lock joints that are missing in a recording or do not move.
+        """Lock joints that a recording lacks or moves by less than `MIN_MOTION_RANGE` (1e-3).
 
-        Resting joints stay free if the check doubts an encoder that stands still.
+        Recorded joints stay free if an encoder may be dead ("position.still" in the check), if the
+        root floats, or for the part on a force sensor.
 
         Args:
             source: The recording.
@@ -445,7 +448,7 @@ class ReadingOptions:
         )
 
     def plausibility_diagnostics(self, source: Source) -> tuple[Diagnostic, ...]:
-        """Diagnostics of an imported recording's plausibility check; empty for others.
+        """Diagnostics of an imported recording's plausibility check; empty without a mapping.
 
         Raises:
             RecordingError: The recording is implausible for this robot, with consequences for
@@ -465,7 +468,7 @@ class ReadingOptions:
 
     @property
     def doubt(self) -> CalibrationCovariance | None:
-        """Covariance of the plate's calibration; None without --plate."""
+        """Covariance of the calibrated plate's coefficients; None without --plate."""
         from testbed.lab.experiment.plate_file import read_calibration
 
         return (
@@ -477,10 +480,10 @@ class ReadingOptions:
     def prior_and_options(
         self, source: Source
     ) -> tuple[PriorBodies, ConsistencyOptions]:
-        """Prior and options for consistent bodies.
+        """Prior bodies by the model file, and the table [consistent] of --set.
 
         Args:
-            source: The recording.
+            source: The recording, whose gear matrix gives the robot's shafts.
         """
         from testbed.bodies.prior import prior_of
         from testbed.core.recordings.views import with_gear_shafts

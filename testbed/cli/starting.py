@@ -35,7 +35,7 @@ class InstallationCheck:
     Attributes:
         name: Name of the package.
         found: Installed version, "not installed", or version and path.
-        fine: True if the version is sufficient.
+        fine: True if the installed version satisfies the requirement.
         needed: True if all commands need the package.
         remedy: Command that installs the package.
     """
@@ -48,14 +48,17 @@ class InstallationCheck:
 
     @property
     def line(self) -> str:
-        """Line of text with the result of the check."""
+        """Line with "ok", "MISSING" or "-" (optional package), name, version, and remedy."""
         mark = "ok" if self.fine else ("MISSING" if self.needed else "-")
         remedy = "" if self.fine else f": {self.remedy}"
         return f"{mark:8s}{self.name:22s}{self.found}{remedy}"
 
 
 def installation_checks() -> Iterator[InstallationCheck]:
-    """Checks of testbed, Python, and required and optional packages."""
+    """Yield checks of testbed, Python, and the packages in testbed's requirements, in this order.
+
+    Packages of the extra `DEVELOPMENT_EXTRA` only are left out; those of other extras are optional.
+    """
     yield InstallationCheck(
         "testbed", f"{installed_version()}, in {Path(__file__).parent.parent}"
     )
@@ -165,13 +168,20 @@ def new(
 def _write_mapping_and_recording(
     files: list[Path], mapping: Path, reading: ReadingOptions, *, force: bool
 ) -> None:
-    """Write a mapping for log files and, for a given robot, the recording.
+    """Write a mapping for log files and, for a given model, the checked recording.
+
+    The recording is not written if keys of the mapping are left empty. The command `testbed
+    identify` for it and diagnostics are printed.
 
     Args:
         files: Log files.
-        mapping: Mapping file to write; the recording is written next to it.
-        reading: Options of the robot's model file.
+        mapping: Mapping file to write; the recording gets its name with the suffix .parquet, or
+            NAME_recording.parquet if that is a log file.
+        reading: Options of the robot's model file; without a model, only the mapping is written.
         force: True to replace existing files.
+
+    Raises:
+        RecordingError: The data contradict mapping or robot.
     """
     from testbed.importing.convert import joined_recording
     from testbed.importing.import_report import ImportReport

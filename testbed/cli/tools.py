@@ -97,13 +97,16 @@ def _print_static_tool(
     *,
     degrees: bool,
 ) -> None:
-    """Identify the tool from a table of static poses, and print it.
+    """Identify the tool beyond a force sensor from a table of static poses, and print it.
 
     Args:
-        table: File with a row per pose.
-        reading: Options of the model file.
+        table: File with a row per pose: joint positions and the sensor's wrench.
+        reading: Options of the model file, with the sensor.
         payload_output: Output options.
-        degrees: True if angles without a unit are in degrees.
+        degrees: True if angles without a unit are in degrees, False for radians.
+
+    Raises:
+        SettingsError: --as is given, and the estimate has no payload or has errors.
     """
     from testbed.applications.payload.static_fit import StaticPoses
     from testbed.applications.payload.tool import tool_from_static_poses

@@ -1,6 +1,6 @@
 """Term-by-term comparison of a listing of equations with the equations derived from a robot.
 
-The notation is that of [FRS96], as written by `languages.latex.paper`: sums of products of names
+The notation is that of [FRS96], as written by `write_paper_notation`: sums of products of names
 and numbers, brackets, NAME = ... on one line or several. Python's parser makes a syntax tree of a
 right-hand side, and a few kinds of its nodes are converted; no part of it is executed.
 """
@@ -72,9 +72,11 @@ def compare_equations(
 
     Returns:
         Listed minus derived equation, by name; zero where they are mathematically equal.
+            Intermediates are left out.
 
     Raises:
-        ExpressionError: The listing cannot be read, or there are more terms than `max_terms`.
+        ExpressionError: The listing cannot be read, has no equation or defines a symbol of the
+            robot, or there are more terms than `max_terms`.
         UnknownName: An undefined name in the listing, or a left-hand side that is neither an
             equation of the robot nor used in another line.
     """
@@ -104,6 +106,8 @@ def compare_equations(
 def _listed_kinds(names: Sequence[str]) -> list[str]:
     """Names of the equation kinds in a listing; joint forces if no name is recognised.
 
+    A kind is recognised by a left-hand side that matches its `results`; regressors are not.
+
     Args:
         names: Left-hand sides of the listing.
     """
@@ -117,7 +121,10 @@ def _listed_kinds(names: Sequence[str]) -> list[str]:
 
 
 def _derived_equations(listing: Listing) -> dict[str, Expression]:
-    """Derived equations and definitions by name, with references to others substituted."""
+    """Derived equations and definitions by name, with references to other equations substituted.
+
+    Definitions have a second name with mm for mbar, as in [FRS96].
+    """
     meanings: dict[Factor, Expression] = {}
     for each in listing.equations:
         for name, value in each.program.steps:
@@ -129,7 +136,10 @@ def _derived_equations(listing: Listing) -> dict[str, Expression]:
 
 
 def _symbols_by_name(listing: Listing, robot: SymbolicRobot) -> dict[str, Expression]:
-    """Symbols of a robot's equations, as expressions by name."""
+    """Coordinates, constants and parameters of a robot's equations, as expressions by name.
+
+    Names with mbar have a second name with mm, as in [FRS96].
+    """
     symbols = [*map(single_factor, [*robot.q, *robot.qd, *robot.qdd]), *robot.values]
     for each in listing.equations:
         symbols += [
@@ -152,7 +162,7 @@ def read_listing(
 
     Args:
         text: NAME = expression; lines that begin with a blank or a sign continue the previous
-            line, lines that begin with * or # are comments.
+            line, lines that begin with *, # or [ are comments.
         names: Expressions of the predefined names; a listing may repeat but not change them.
         max_terms: Largest number of terms, including the terms of substituted names.
 
@@ -181,7 +191,12 @@ def read_listing(
 
 
 def _statements(text: str, max_terms: int) -> Iterator[tuple[int, str, str]]:
-    """First line number, name and right-hand side of each equation of a listing."""
+    """Yield first line number, name and right-hand side of each equation of a listing.
+
+    Raises:
+        ExpressionError: The listing has more than `CHARACTERS_PER_TERM` (40) times `max_terms`
+            characters.
+    """
     limit = CHARACTERS_PER_TERM * max_terms
     if len(text) > limit:
         raise ExpressionError(
@@ -203,9 +218,12 @@ def _statements(text: str, max_terms: int) -> Iterator[tuple[int, str, str]]:
 def _right_hand_side(
     text: str, names: Mapping[str, Expression], budget: Budget
 ) -> Expression:
-    """Expression of the right-hand side of an equation.
+    """Expression of the right-hand side of an equation; ^ and ** are powers.
 
     Summands are parsed as the items of a tuple, so that a long sum is not nested deeply.
+
+    Raises:
+        ExpressionError: The text is no expression, divides by zero or is nested too deeply.
     """
     summands = _SUMMAND_END.sub(r"\1,", text.replace("^", "**")).strip()
     try:
@@ -227,7 +245,13 @@ def _right_hand_side(
 def _node_expression(
     node: ast.AST, names: Mapping[str, Expression], budget: Budget
 ) -> Expression:
-    """Expression of a node of a syntax tree; a tuple is a sum."""
+    """Expression of a node of a syntax tree; a tuple is a sum.
+
+    Raises:
+        ExpressionError: Not a sum, product, quotient by a number, or power with an exponent from 1
+            to `MAX_EXPONENT` (20).
+        UnknownName: A name is neither in `names` nor a sine or cosine.
+    """
     match node:
         case ast.Tuple(elts=summands):
             terms: list[Term] = []

@@ -126,7 +126,9 @@ class Recursion:
     def run(
         self, qd: AnyArray, qdd: AnyArray, suffix: str = ""
     ) -> tuple[AnyArray, AnyArray]:
-        """Joint forces, (n, p), and base wrench, (6, p), of a motion.
+        """Joint forces, (n, p), and wrench of the bedplate on the robot, (6, p), of a motion.
+
+        The wrench is about the bedplate's origin, force first.
 
         Args:
             qd: Joint velocities, (n,).
@@ -396,7 +398,7 @@ class _Builder:
         listing: Listing without equations: the robot, the form and the parameter sets.
         robot: Symbolic robot.
         budget: Counter of terms.
-        expand: Expansion of an expression into simplified terms, by `expander`.
+        expand: Expansion of an expression into simplified terms, by `make_expander`.
     """
 
     listing: Listing

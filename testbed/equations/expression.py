@@ -4,7 +4,7 @@ A factor is a parameter, a coordinate or one of its derivatives, a constant of t
 the cosine or sine of an expression, an auxiliary variable, or an expression in brackets; a
 term has a numerical coefficient as well. Expressions are immutable values in normal order;
 equal terms of opposite sign cancel at every operation. Brackets are not multiplied out:
-`polynomial.Ring.expand` does that, with the identities of trigonometry. `Budget` counts terms.
+`PolynomialRing.expand` does that, with the identities of trigonometry. `Budget` counts terms.
 
 Order         factors by nature, then by name; terms by their factors, not by coefficient
 Coefficients  integers and binary fractions, so that arithmetic on them is exact
@@ -189,7 +189,7 @@ def factor_expression(factor: Factor) -> Expression:
 
 
 def single_factor(symbol: Expression) -> Factor:
-    """Single factor of an expression; inverse of `of`."""
+    """Single factor of an expression with one factor; inverse of `factor_expression`."""
     ((factors, _),) = symbol.terms
     return factors[0]
 
@@ -205,7 +205,7 @@ def expression(value: Any) -> Expression:
 
 
 def sine(angle: Expression) -> Expression:
-    """Sine of an angle; a leading minus is moved out of the sine."""
+    """Sine of a sum of multiples of coordinates; a leading minus is moved out."""
     if angle.terms[0][1] < 0:
         return -sine(-angle)
     return factor_expression(
@@ -214,7 +214,7 @@ def sine(angle: Expression) -> Expression:
 
 
 def cosine(angle: Expression) -> Expression:
-    """Cosine of an angle; a leading minus is removed."""
+    """Cosine of a sum of multiples of coordinates; a leading minus is removed."""
     if angle.terms[0][1] < 0:
         angle = -angle
     return factor_expression(
@@ -349,7 +349,7 @@ def exact_number(value: Number) -> Number:
     """Number, converted to an integer if it is whole.
 
     Raises:
-        ExpressionError: The number is NaN, or larger than `LARGEST_NUMBER`.
+        ExpressionError: The number is NaN, or larger than `MAX_COEFFICIENT` (1e150) in magnitude.
     """
     if not -MAX_COEFFICIENT <= value <= MAX_COEFFICIENT:
         raise ExpressionError(

@@ -101,7 +101,8 @@ class Polynomial:
     """Sum of monomials times products of sines and cosines.
 
     Attributes:
-        parts: Coefficient by trigonometric product and monomial.
+        parts: Coefficient by trigonometric product and monomial; a monomial is an integer with six
+            bits per exponent.
         degree: Upper bound of the degree of the monomials.
     """
 
@@ -212,7 +213,11 @@ class PolynomialRing:
     def _checked_polynomial(
         self, parts: dict[TrigProduct, dict[int, Number]], degree: int
     ) -> Polynomial:
-        """Polynomial without zero coefficients, after a check of degree and magnitude."""
+        """Polynomial without coefficients up to `rounding`, after a check of degree and magnitude.
+
+        Raises:
+            ExpressionError: The degree exceeds 63, or a coefficient 1e150 in magnitude.
+        """
         if degree > MAX_DEGREE:
             raise ExpressionError(
                 f"an expression of degree {degree}; at most {MAX_DEGREE}"
@@ -285,7 +290,10 @@ class PolynomialRing:
         return products
 
     def _angles(self, content: Expression) -> dict[int, AngleSum]:
-        """Angle numbers and multiples of a sum of angles, by group of angles."""
+        """Angle numbers and multiples of a sum of angles, by group of angles.
+
+        An angle outside of the groups is a group of its own, with a negative number.
+        """
         parts: dict[int, list[tuple[int, Number]]] = {}
         for trig_product, part in self.expand(content).parts.items():
             for monomial, number in part.items():

@@ -123,7 +123,11 @@ def literal_program(results: Mapping[Factor, Expression]) -> Program:
 
 
 def _sorted_program(assignments: Assignments) -> Program:
-    """Program of assignments, sorted by dependencies; expressions used once are inlined."""
+    """Program of assignments, sorted by dependencies; expressions used once are inlined.
+
+    Named auxiliary variables, results and constant lines are not inlined. Lines without a name
+    become k1, k2, ... if they are constant, else t1, t2, ...
+    """
     uses = Counter(
         f
         for line in assignments.lines.values()
@@ -222,7 +226,10 @@ class Assignments:
         self._new_lines = 0
 
     def optimise(self) -> None:
-        """Apply all optimisations; further rounds bring no reduction in practice."""
+        """Merge equal lines, constants and common products, factor out, and merge again.
+
+        Further rounds bring no reduction in practice.
+        """
         self.merge_lines()
         self.merge_constants()
         self.share_common_products()

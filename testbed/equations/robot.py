@@ -2,7 +2,7 @@
 
 Lengths that are not zero are symbols. Constant rotations and axes are numbers: integers if they
 consist of quarter turns, as on most robots. Quarter turns with few digits in a model file
-(1.5708 for half of pi) would give many terms of a millionth; `right_angles` rounds such turns.
+(1.5708 for half of pi) would give many terms of a millionth; `with_right_angles` rounds them.
 
 Names     q2 qp2 qpp2; l23z offset; g; m2 mass; l22y centre of mass in the body's frame; J2yz
           central inertia; parameters in docs/conventions.md
@@ -50,7 +50,10 @@ ZERO_TOLERANCE = 1e-12
 
 
 def with_right_angles(tree: Tree) -> Tree:
-    """Tree with almost right angles between its joint frames rounded to right angles."""
+    """Tree with almost right angles between its joint frames rounded to right angles.
+
+    A joint's rotation or axis is rounded if all its entries are within 1e-4 of whole numbers.
+    """
     joints = tuple(
         replace(
             joint,
@@ -63,7 +66,7 @@ def with_right_angles(tree: Tree) -> Tree:
 
 
 def near_right_angles(tree: Tree) -> dict[str, float]:
-    """Deviations from right angles [rad] by joint, for joints that `right_angles` changes."""
+    """Deviations from right angles [rad] by joint, for joints that `with_right_angles` changes."""
     changes = {
         joint.name: max(
             _largest_rounding(joint.rotation), _largest_rounding(joint.axis)
@@ -97,9 +100,9 @@ class SymbolicJoint:
     Attributes:
         parent: Index of the carrying body; -1 for the bedplate.
         revolute: True for a revolute, False for a prismatic joint.
-        axis: Joint axis, (3,), numbers.
-        offset: Offset from the origin of the carrying body, (3,), symbols or zero.
-        rotation: Constant rotation of the joint frame, (3, 3), numbers.
+        axis: Unit vector of the joint axis in the moved body's frame, (3,), numbers.
+        offset: Offset from the carrying body's origin, in its frame, (3,), symbols or zero.
+        rotation: Rotation from the moved body's frame at q = 0 to the carrying body's, (3, 3).
     """
 
     parent: int
@@ -220,7 +223,7 @@ ConstantFactory = Callable[[str, float], Expression]
 
 
 def _symbolic_gravity(gravity: Array, constant: ConstantFactory) -> AnyArray:
-    """Symbolic gravity: (0, 0, -g) along an axis, else (gx, gy, gz)."""
+    """Symbolic gravity, (3,): g or -g along an axis, such as (0, 0, -g); else (gx, gy, gz)."""
     vector = np.zeros(3, dtype=object)
     if np.count_nonzero(gravity) == 1:
         vector += np.sign(gravity).astype(int) * constant("g", np.abs(gravity).max())
@@ -250,7 +253,7 @@ class Parameter:
 
     Attributes:
         label: Name in parts: a multiple of a sum, such as 2*K3d.
-        unit: kg, kg m or kg m^2.
+        unit: "kg", "kg m" or "kg m^2".
         symbol: Symbol in the equations, of the parameter without its multiple; None for a
             parameter that is known to be zero.
     """
@@ -295,6 +298,8 @@ def barycentric(
 ) -> AnyArray:
     """Barycentric parameters in symbols, (n, 10, 1), or by parameter, (n, 10, N).
 
+    mbar, mb x y z, K xx xy xz yy yz zz of each body, in its frame.
+
     Args:
         parameters: Entries of the parameter vector.
         lift: Matrix that gives the barycentric parameters, (10 n, N).
@@ -311,7 +316,7 @@ def barycentric(
 
 
 def unique_identifiers(names: Sequence[str]) -> list[str]:
-    """Unique identifiers of parameter names, for symbols and programs."""
+    """Unique identifiers of parameter names, in order; duplicates get underlines appended."""
     identifiers: dict[str, None] = {}
     for name in names:
         candidate = identifier(name)
@@ -349,6 +354,8 @@ def barycentric_definitions(
 ) -> list[tuple[str, Expression]]:
     """Names and definitions of the barycentric parameters that are not known to be zero.
 
+    Second moments come first, then first moments, then masses, as in the listing of [FRS96].
+
     Args:
         tree: The robot.
         robot: Symbolic robot of the tree.
@@ -380,6 +387,8 @@ def barycentric_definitions(
 
 def _standard_parameters(tree: Tree, j: int, by_file: bool) -> AnyArray:
     """Standard parameters of a body, (10,), by symbols of mass, centre and central inertia.
+
+    m mx my mz Ixx Ixy Ixz Iyy Iyz Izz about and along the body frame.
 
     Args:
         tree: The robot.

@@ -35,6 +35,9 @@ def simplify(
 ) -> Expression:
     """Convert a polynomial into a short expression by product formulas.
 
+    In each group of angles, two sines or two cosines with coefficients of equal magnitude become
+    one product if both of its angles are allowed.
+
     Args:
         ring: Ring of the polynomial.
         polynomial: The polynomial.
@@ -56,7 +59,14 @@ def simplify(
 def body_angles(
     ring: PolynomialRing, angles: Iterable[Expression]
 ) -> frozenset[AngleSum]:
-    """Angles by the ring's angle numbers, each with a positive first multiple."""
+    """Sums of angles as pairs of a ring's angle number and multiple, sorted by number.
+
+    The first multiple is made positive.
+
+    Args:
+        ring: Ring that numbers the angles.
+        angles: Integer combinations of joint coordinates.
+    """
     indices = set()
     for angle in angles:
         terms = ring.expand(angle).parts.get((), {})
@@ -173,7 +183,10 @@ def _sum_as_product(
 def _double_angle_product(
     product: GroupProduct, number: Number, natural: frozenset[AngleSum]
 ) -> tuple[GroupProduct, Number]:
-    """Half a sine of a double angle as sine times cosine; others unchanged."""
+    """Sine of a double angle with half-integer coefficient as sine times cosine.
+
+    Other products, and angles whose half is not allowed, are returned unchanged.
+    """
     kind, index = _single_factor(product)
     half = _half_angle(index)
     if len(product) == 1 and kind == SINE and half in natural and number % 1 == 0.5:

@@ -15,7 +15,9 @@ GRIPPER_PATTERN = r"finger|grip|hand|knuckle|thumb|jaw|claw|robotiq"
 def joint_sets(
     tree: Tree, names: Sequence[str], followed: Collection[str]
 ) -> Iterator[list[str]]:
-    """Joints without the gripper; then only the joints before the first branching.
+    """Yield joint names without the gripper's, then only the joints before the first branching.
+
+    Joints of a gripper are its fingers, and joints with a word of `GRIPPER_PATTERN` in the name.
 
     Args:
         tree: Robot.

@@ -83,7 +83,7 @@ class ColumnName:
 
     @property
     def is_excluded(self) -> bool:
-        """True if the column is a command or a quantity that recordings do not take."""
+        """True if a word of the name is in `EXCLUDED_WORDS`: commands, temperatures, errors."""
         return not EXCLUDED_WORDS.isdisjoint(self.words)
 
 
@@ -92,7 +92,7 @@ def parse_column_name(name: str, stated_unit: str | None = None) -> ColumnName:
 
     Args:
         name: Column name.
-        stated_unit: Unit that the file states for the column beside its name.
+        stated_unit: Unit that the file states for the column; it replaces the unit in the name.
     """
     bare, unit = split_unit(name)
     if stated_unit and canonical_unit(stated_unit) in KNOWN_UNITS:
@@ -165,7 +165,10 @@ def _wrench_component(text: str) -> tuple[int, int] | None:
 
 
 def _has_fragment(word: str, fragments: tuple[str, ...]) -> bool:
-    """Test whether a word begins or ends with a fragment, or contains a long fragment."""
+    """Test whether a word begins or ends with a fragment.
+
+    Fragments of five letters or more may be anywhere in the word.
+    """
     contained = any(fragment in word for fragment in fragments if len(fragment) > 4)
     return contained or word.startswith(fragments) or word.endswith(fragments)
 
@@ -175,7 +178,8 @@ def _signal_kind(
 ) -> str | None:
     """Signal of a column by its words and unit; None if neither states it.
 
-    The unit decides where it contradicts the words.
+    A wrench component precedes symbols as q, these precede fragments as vel. The unit decides where
+    it contradicts the words.
     """
     if role is not None:
         return "wrench"
@@ -244,8 +248,8 @@ class ColumnGroup:
     def with_model_joints(self, joints: Sequence[str]) -> ColumnGroup:
         """Group with the model's joint names in place of the numbers.
 
-        The group is unchanged if it has fewer numbers than the model has joints; columns beyond the
-        number of joints are left out.
+        Equal numbers are paired; if the model's names have others, columns and joints are paired in
+        order. Excess columns are left out; a group with too few numbers is unchanged.
 
         Args:
             joints: Joint names of the model, in its order.
@@ -291,7 +295,9 @@ class ColumnGroup:
 def column_groups(
     columns: Sequence[ColumnName], joints: Sequence[str] = ()
 ) -> Iterator[ColumnGroup]:
-    """Groups of columns whose names differ only in the joint.
+    """Yield groups of columns whose names differ only in the joint.
+
+    Groups with joint names of the model come first. A column may be in several groups.
 
     Args:
         columns: Columns of one signal.
@@ -337,7 +343,7 @@ def column_groups(
 
 
 def as_joint_torque(column: ColumnName, joints: Sequence[str]) -> ColumnName:
-    """Column as a joint torque, if the name states a force and a joint.
+    """Column as a joint torque, if its name has a force (without axis) and a joint.
 
     Other columns are unchanged.
 
@@ -445,9 +451,10 @@ def _model_joint_template(
 def _label_template(
     column: ColumnName, columns: Sequence[ColumnName]
 ) -> Iterator[tuple[str, str]]:
-    """Column name with placeholders, and the last word that distinguishes it from other columns.
+    """Yield a column's name with placeholders, and the last word that other columns lack.
 
-    Nothing is yielded if all words name the signal or occur in all columns.
+    Words that name a signal have no placeholder and are not that word. Without such a word nothing
+    is yielded.
     """
     marked = re.sub(WORD_PATTERN, _mark_signal_word, column.name_without_unit)
     parts = re.findall(r"\0\w+\0|[A-Za-z\d]+(?:[_-]*[A-Za-z\d]+)*", marked, re.ASCII)

@@ -149,14 +149,14 @@ def import_recordings(
 
 
 def import_recording(path: str | Path) -> Recording:
-    """Import the recording of a mapping file (docs/your-recording.md).
+    """Import a mapping file as one recording (docs/your-recording.md), joined across gaps.
 
     Args:
         path: Mapping file, TOML; the files it names are relative to it.
 
     Raises:
         ExperimentError: The mapping is not valid.
-        RecordingError: As `pieces`.
+        RecordingError: A file is missing or damaged, or does not hold the columns of the mapping.
     """
     return joined_recording(*import_recordings(Path(path)))
 
@@ -164,7 +164,7 @@ def import_recording(path: str | Path) -> Recording:
 def joined_recording(
     recordings: Sequence[Recording], cuts: Sequence[Diagnostic]
 ) -> Recording:
-    """Join recordings of a mapping file; metadata of the longest.
+    """Join the recordings of a mapping file, with metadata of the longest and all diagnostics.
 
     Args:
         recordings: Recordings in the order of time.
@@ -199,7 +199,7 @@ def _message_with_files(path: Path, mapping: Mapping, message: str) -> str:
 def source_time_ranges(
     mapping: Mapping, folder: Path
 ) -> dict[str, tuple[float, float]]:
-    """First and last time of each source by its clock, from a common origin [s].
+    """First and last time of each source from a common origin (offset and skew corrected) [s].
 
     Raises:
         RecordingError: A file is missing or damaged, or its times are not valid.
@@ -276,7 +276,9 @@ def _open_source(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
 
 
 def _source_times(mapping: Mapping, name: str, table: ForeignTable) -> SourceTimes:
-    """Sample times of a source, corrected for clock drift [s]; nan where not recorded.
+    """Sample times of a source, corrected by its `skew` but not its `offset`.
+
+    Without a time column, samples are equidistant at the rate of the source, else of the recording.
 
     Raises:
         RecordingError: All time stamps are equal.
@@ -326,7 +328,13 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
 
 
 def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _Stream:
-    """Complete samples of a signal; RecordingError if there are fewer than `FEWEST`."""
+    """Samples of a signal with finite time and values in all columns.
+
+    Columns that share no such row are interpolated (`spline_to_common_rows`).
+
+    Raises:
+        RecordingError: There are fewer than `MIN_SIGNAL_SAMPLES` samples.
+    """
     values = file.matrix(table.columns)
     finite = np.isfinite(values)
     rows = np.flatnonzero(finite.all(axis=1) & np.isfinite(time))
@@ -375,7 +383,11 @@ def _common_window(mapping: Mapping, streams: Table[str, _Stream]) -> Window:
 
 
 def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _Samples:
-    """Samples in a window and one beyond either end, without repeated samples."""
+    """Samples in a window and one beyond either end, without repeated samples.
+
+    The signal's delay is subtracted from the times. Values remain in the units of the file: torques
+    get their sign bit, positions are unwrapped, quaternions made continuous.
+    """
     table, time, name = stream.table, stream.time, stream.table.source
     source = mapping.sources[name]
     low, high = np.searchsorted(np.maximum.accumulate(time), window)
@@ -424,7 +436,7 @@ def _grid_times(
     """Times of the uniform grid, (L,) [s], without the ends that low-pass filters take.
 
     Raises:
-        RecordingError: There are too many or fewer than two.
+        RecordingError: The grid has too many samples for memory, or fewer than two.
     """
     first, last = window
     for each in samples:

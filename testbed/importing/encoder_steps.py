@@ -25,7 +25,11 @@ MAX_STEPS = 3
 def unwrapped_positions(
     table: SignalTable, names: Sequence[str], time: Array, values: Array
 ) -> tuple[Array, tuple[Diagnostic, ...]]:
-    """Unwrapped positions, (M, k), and diagnostics of turns and remaining steps.
+    """Unwrapped positions, (M, k), and diagnostics of removed turns and of remaining steps.
+
+    Differences of successive angles are reduced by the nearest number of whole turns. Then steps of
+    `signal_steps` above 5e-3 rad or m are reported for columns with at most three, without steps
+    that end a standstill.
 
     Args:
         table: Table of the positions in the mapping.
@@ -73,9 +77,9 @@ def unwrapped_positions(
 
 
 def _ends_standstill(values: Array, i: int) -> bool:
-    """Test whether a column is constant up to a sample and moves after it.
+    """Test whether a column is constant before a step, over 20 samples, and moves afterwards.
 
-    Samples were lost there; the zero of the encoder did not move.
+    Such a step is a loss of samples, not a new zero of the encoder.
     """
     constant = i >= MIN_STANDSTILL_SAMPLES and not np.ptp(
         values[i - MIN_STANDSTILL_SAMPLES : i + 1]

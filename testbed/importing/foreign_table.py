@@ -116,7 +116,7 @@ def check_unit(kind: str, unit: str, *, with_gain: bool = False) -> None:
     """Check that a unit belongs to a quantity.
 
     Args:
-        kind: Quantity, a key of `UNITS`.
+        kind: Quantity, a key of `UNITS_BY_QUANTITY`.
         unit: Unit as written by the user.
         with_gain: True if a gain turns the quantity into a torque.
 
@@ -139,10 +139,10 @@ def check_unit(kind: str, unit: str, *, with_gain: bool = False) -> None:
 
 
 def unit_size(kind: str, unit: str) -> float:
-    """Size of a unit in SI; of raw units, the value of the prefix.
+    """Size of a unit in SI; of raw units, the value of the prefix (1e-3 for mA).
 
     Args:
-        kind: Quantity, a key of `UNITS`.
+        kind: Quantity, a key of `UNITS_BY_QUANTITY`.
         unit: Unit that `check_unit` accepts.
     """
     return (RAW_UNITS | UNITS_BY_QUANTITY[kind])[canonical_unit(unit)]
@@ -211,7 +211,7 @@ class ForeignTable:
     plates: Sequence[DescribedPlate] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a table of more than `MOST_COLUMNS`.
+        """Refuse a table of more than `MAX_COLUMNS` columns.
 
         Raises:
             RecordingError: The table has more columns.
@@ -257,7 +257,7 @@ class ForeignTable:
         return self.units.get(column, self.units.get(array))
 
     def column_values(self, columns: Iterable[str]) -> dict[str, Array]:
-        """Values of some columns by name, (M,) each.
+        """Values of the given columns by name, (M,) each.
 
         Args:
             columns: Column names.
@@ -344,6 +344,9 @@ TablesByTopic = dict[str, ForeignTable | RecordingError | UnknownName]
 
 def is_column_array(shape: tuple[int, ...], kind: str) -> bool:
     """Test whether an array's shape and dtype permit splitting it into columns.
+
+    The array has real numbers, one or two axes, two samples or more, and at most `MAX_COLUMNS`
+    columns.
 
     Args:
         shape: Shape of the array.

@@ -56,7 +56,9 @@ def guess_mapping(
     joints: Sequence[str] = (),
     subsets: Iterable[Sequence[str]] = (),
 ) -> MappingDraft:
-    """Draft of a mapping file; `read_mapping` refuses it while a value is empty.
+    """Draft of a mapping file, from names, units and values of foreign columns.
+
+    Keys that these do not determine have empty values, which `read_mapping` refuses.
 
     Args:
         paths: Files of other programs.
@@ -145,7 +147,9 @@ def _matched_signals(
     joints: Sequence[str],
     subsets: Iterable[Sequence[str]],
 ) -> tuple[Mapping[JointQuantity, LikelySignal], Sequence[str]]:
-    """Signals of all joints, or of the first subset of joints that fits the columns.
+    """Signals of all joints, or of a subset of the joints that fits the columns.
+
+    Subsets are tried until the columns of all signals are matched with joints.
 
     Returns:
         The signals and the joints to which they belong.
@@ -229,7 +233,10 @@ def _draft_with_signal(
     signals: Mapping[JointQuantity, LikelySignal],
     sources: Sequence[LikelySource],
 ) -> MappingDraft:
-    """Draft with the table of a signal, if columns were recognised, or a comment."""
+    """Draft with the table of a signal.
+
+    Without recognised columns, a position or torque gets comments in place of its table.
+    """
     excluded = [
         c.name for s in sources for c in s.columns if c.kind == kind and c.is_excluded
     ]
@@ -254,7 +261,10 @@ def _draft_with_signal(
 
 
 def _signal_keys(kind: JointQuantity, signal: LikelySignal) -> Iterator[AnnotatedKey]:
-    """Keys of a joint signal's table."""
+    """Yield keys of a joint signal's table, with values and comments.
+
+    These are source, columns and unit, and if recognised: scale of counts, sign bit, signs.
+    """
     others = (
         f"others that look like it: {json.dumps(signal.other_columns)}"
         if signal.other_columns
@@ -286,7 +296,10 @@ def _signal_keys(kind: JointQuantity, signal: LikelySignal) -> Iterator[Annotate
 
 
 def _unit_keys(kind: JointQuantity, signal: LikelySignal) -> Iterator[AnnotatedKey]:
-    """Unit of a signal's columns, empty unless all are known, and gain of raw units."""
+    """Yield the unit of a signal's columns, and an empty `gain` for raw units.
+
+    The unit is empty unless the units of all columns are known, and raw for all columns or none.
+    """
     known = UNITS_BY_QUANTITY[kind] | (RAW_UNITS if kind == "torque" else {})
     units = [unit for unit in signal.units if unit in known]
     raw = [unit for unit in units if unit in RAW_UNITS]
@@ -311,7 +324,7 @@ def _temperature_signal(
     joints: Sequence[str],
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Temperatures of the drives, if all joints have a column; else empty."""
+    """Signal "temperature" of the drives, if all joints have a column; else empty."""
     position = signals.get("position")
     names = list(joints) if position is None else list(position.group.names)
     for source in sources:
@@ -340,7 +353,9 @@ def _plate_key(name: str) -> str:
 def _plate_keys(
     source: LikelySource, columns: Sequence[ColumnName], *, single: bool
 ) -> Iterator[AnnotatedKey]:
-    """Keys of a force plate's table.
+    """Yield keys of a force plate's table, with values and comments.
+
+    Units, matrix and pose are those that the file states, else empty; so is the sense.
 
     Args:
         source: Source of the columns.

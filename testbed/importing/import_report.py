@@ -82,7 +82,7 @@ class MappingDraft:
 
     @property
     def content(self) -> dict[str, Any]:
-        """Content of the draft as parsed TOML; a key that begins with # is a comment."""
+        """Content of the draft as parsed TOML, without keys that begin with #."""
         root: dict[str, Any] = {}
         for name, keys in self.tables.items():
             table = root
@@ -115,7 +115,7 @@ class MappingDraft:
         return "\n\n".join(blocks) + "\n"
 
     def line_number(self, key: str) -> int:
-        """Number of a key's line in `text`; without it, of the table's line; else 1.
+        """Line number of a key in `text`, else of the key's table, else 1.
 
         Args:
             key: Key with the dotted name of its table.
@@ -231,7 +231,7 @@ class ImportReport:
         return (*self._clock_diagnostics(), *self._signal_diagnostics())
 
     def _clock_diagnostics(self) -> Iterator[Diagnostic]:
-        """Diagnostics of incomplete files, jitter and gaps, by source."""
+        """Yield diagnostics of incomplete last samples, jitter above 0.1, and gaps, by source."""
         for name, clock in self.clocks.items():
             if clock.cut:
                 yield make_diagnostic("import.incomplete", name, clock.samples)
@@ -257,7 +257,11 @@ class ImportReport:
                 yield make_diagnostic("import.gaps", name, clock.longest_gap, gaps=gaps)
 
     def _signal_diagnostics(self) -> Iterator[Diagnostic]:
-        """Diagnostics of repeated samples, and the reports' own diagnostics, by signal."""
+        """Yield diagnostics of repeated samples, and the reports' own diagnostics, by signal.
+
+        Repeated samples are reported above a share of 0.05, if none were omitted; temperatures are
+        exempt.
+        """
         for name, signal in self.signals.items():
             if (
                 signal.held > MAX_HELD_SHARE

@@ -20,14 +20,16 @@ JOINT_NUMBER = r"[\[_.]?\d+\]?"
 
 @dataclass(frozen=True)
 class LoggerLayout:
-    """Column names of one logger; each is a regular expression of a whole name.
+    """Column names of a known logger, as regular expressions of whole names.
 
     Attributes:
         logger: Name of the logger.
-        signals: Columns and unit by signal.
-        mark: Another column by which the logger is recognised.
-        beside: Columns that seem to belong to joints or a plate but do not.
-        time: Column of times, or columns of seconds and nanoseconds; empty if names decide.
+        signals: Expression for the joints' columns, and their unit, by signal.
+        mark: Expression for another column by which the logger is recognised.
+        beside: Expression for columns whose names resemble a signal of joints or plate, but which
+            are no such signal.
+        time: Expression for the time column, or for the columns of seconds and of nanoseconds;
+            empty if the time column is chosen by its name.
         unit: Unit of the times.
         rate: Sampling rate of a logger without times [Hz].
     """
@@ -43,6 +45,8 @@ class LoggerLayout:
     def matches_columns(self, columns: Sequence[str]) -> bool:
         """Test whether a table has the columns of this logger.
 
+        The expressions of `mark` and of all signals must match at least one column each.
+
         Args:
             columns: Column names of the table.
         """
@@ -52,7 +56,7 @@ class LoggerLayout:
         )
 
     def time_columns(self, columns: Sequence[str]) -> list[str]:
-        """Columns of times in a table; empty unless all are there.
+        """Columns of a table that match `time`; empty unless all its expressions match.
 
         Args:
             columns: Column names of the table.
@@ -73,7 +77,10 @@ class LoggerLayout:
         return tuple(self._interpreted_column(column) for column in columns)
 
     def _interpreted_column(self, column: ColumnName) -> ColumnName:
-        """Column with the signal and unit of this logger; without a signal if irrelevant."""
+        """Column with the signal and unit that this logger gives to its name.
+
+        Other columns lose their signal if it is one of joints, or if `beside` matches the name.
+        """
         for kind, (pattern, unit) in self.signals.items():
             if re.fullmatch(pattern, column.name):
                 words = (kind, re.findall(r"\d+", column.name)[-1])
@@ -102,7 +109,7 @@ LAYOUTS = tuple(map(_layout, read_table("loggers")["loggers"]))
 
 
 def layout_of_logger(columns: Sequence[str]) -> LoggerLayout | None:
-    """Layout of the logger that names columns in this way; None if unknown.
+    """First layout of `LAYOUTS` that matches a table's columns; None if no layout does.
 
     Args:
         columns: Column names of a table.

@@ -59,7 +59,7 @@ class LikelyClock:
 
     @property
     def seconds_per_unit(self) -> float | None:
-        """Seconds in one unit of `time`; None if unknown."""
+        """Seconds in one unit of the times of method `time`; None if unknown."""
         if self.column is None:
             return 1 / self.rate if self.rate else None
         return None if self.unit is None else 1.0
@@ -67,7 +67,8 @@ class LikelyClock:
     def time(self, table: ForeignTable, samples: int) -> Array:
         """Sample times, (M,) [s].
 
-        If unit or rate is unknown, times are in the column's unit or in samples.
+        Without a time column, times are sample numbers; if the unit is unknown, they are in the
+        column's unit. Times of a coarse clock are on the line of `fit_time_line`.
 
         Args:
             table: Table with the time column.
@@ -87,8 +88,10 @@ class LikelyClock:
     def with_unit_by_velocity(self, seconds: float) -> LikelyClock:
         """Clock with the unit or rate that follows from velocities and positions.
 
+        The known unit of nearest size is taken; without a time column, the rate.
+
         Args:
-            seconds: Seconds in one unit of `time`.
+            seconds: Seconds in one unit of the times of method `time`.
         """
         because = "by velocity and position"
         if self.column is None:
@@ -123,6 +126,10 @@ def find_clock(
     rows: NDArray[np.bool_] | bool = True,
 ) -> LikelyClock:
     """Find the time column of a table, with unit and sampling rate.
+
+    Columns with a unit of time or a word of `TIME_WORDS` are tried in the order of these words; the
+    first is taken whose steps are positive for more than half, or whose repeated stamps are on a
+    line. A known layout replaces this choice by its own columns or rate.
 
     Args:
         table: Table of a file of another program.
@@ -194,7 +201,7 @@ def find_clock(
 def time_word_rank(column: str) -> int:
     """Rank of a column name among time columns, from 0 for the most likely word.
 
-    The rank is the number of words if the name resembles no time.
+    The rank is the number of words if the name resembles no time, and one less with a unit of time.
     """
     name = column.lower().rpartition("/")[2]
     for k, word in enumerate(TIME_WORDS):
@@ -247,8 +254,8 @@ def _time_unit(
 ) -> tuple[str | None, str]:
     """Unit of times, and the evidence for it; None and "" if unknown.
 
-    The unit is taken from the column's name (without evidence), else the size of the stamps, else
-    their steps.
+    The unit is taken from the column's name (without evidence), else from the size of the stamps
+    (1e9 to 3e9 s since 1970), else from their steps, if one unit alone gives 20 to 10 000 Hz.
     """
     words = [canonical_unit(word) for word in re.findall(r"[A-Za-zµ]+", column)]
     named_units = [

@@ -97,6 +97,10 @@ def find_signals(
 ) -> Mapping[JointQuantity, LikelySignal]:
     """Columns that most likely belong to the joints, by signal.
 
+    Columns are chosen by their names (`likeliest_group`), else by their values: velocities are
+    derivatives of positions, torques the only other columns. Units that names do not state, and
+    signs, follow from the values.
+
     Args:
         sources: Sources whose columns are searched.
         joints: Joint names of the robot's model, in its order; empty if unknown.
@@ -134,7 +138,7 @@ def find_signals(
 def _clock_by_rows(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signals with the clock of the positions' rows, if other rows belong to other devices."""
+    """Signals with the clock of the rows that hold positions, if other rows do not."""
     if (q := signals.get("position")) is None:
         return signals
     finite = np.isfinite(signal_values(q))
@@ -153,7 +157,10 @@ def _clock_by_rows(
 def _with_raw_loads(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signals with integer torques without a unit taken as raw loads of a servo."""
+    """Signals whose torques, if whole numbers without a unit, have the unit "raw".
+
+    A sign bit is detected (`detected_sign_bit`).
+    """
     if (tau := signals.get("torque")) is None or any(tau.units):
         return signals
     values = signal_values(tau)
@@ -176,7 +183,7 @@ def _signal(
     joints: Sequence[str],
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> LikelySignal:
-    """Signal of a group of columns, ordered as the joints or as the previous signals."""
+    """Signal of a group of columns, ordered as the model's joints or the first signal."""
     group = group.with_model_joints(joints)
     group = (
         group.reordered_as(next(iter(signals.values())).group.names)
@@ -197,9 +204,11 @@ def _signals_by_data(
     sources: Sequence[LikelySource],
     joints: Sequence[str],
 ) -> Iterator[tuple[JointQuantity, LikelySource, ColumnGroup, str]]:
-    """Signals that names do not state: velocities by integration, torques by elimination.
+    """Yield signals that names do not state: velocities by integration, torques by elimination.
 
-    Columns of forces or moments without an axis are joint torques if no other columns remain.
+    Candidates are groups with a column for each joint: unnamed signals, and forces without an axis.
+    Pairs for which `_is_derivative` holds are position and velocity; a single other group is the
+    torque.
     """
     known = next(iter(signals.values()), None)
     count = len(known.group.columns) if known else len(joints)
@@ -261,7 +270,10 @@ def _velocity_fit(
 def _is_derivative(
     source: LikelySource, position: ColumnGroup, velocity: ColumnGroup
 ) -> bool:
-    """Test whether columns are derivatives of others at half of the joints or more."""
+    """Test whether velocity columns are derivatives of position columns.
+
+    The explained variance must exceed 0.9 for half of the joints or more.
+    """
     explained = (
         np.diagonal(_velocity_fit(source, position, velocity).explained_variance)
         > MIN_EXPLAINED_VARIANCE
@@ -277,7 +289,8 @@ def _has_kind(column: ColumnName, kind: str) -> bool:
 def _velocity_slopes(signals: Mapping[JointQuantity, LikelySignal]) -> Array | None:
     """Slopes of position increments over velocity integrals, (n,), in the units of the file.
 
-    Slopes of joints that hardly move are nan; None if no joint is explained or a signal is missing.
+    Slopes with an explained variance of at most 0.9 are nan. None if all are nan, or position or
+    velocity is missing.
     """
     q, v = signals.get("position"), signals.get("velocity")
     if q is None or v is None or q.source is not v.source or q.counts_per_turn:
@@ -290,7 +303,11 @@ def _velocity_slopes(signals: Mapping[JointQuantity, LikelySignal]) -> Array | N
 def _with_derivative_units(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signals with signs, units and clock that follow from positions and velocities."""
+    """Signals with signs, units and clock by regression of positions on integrated velocities.
+
+    Negative slopes give signs of velocities. The size of the slopes gives the clock's unit or rate
+    if it is unknown, else missing units of positions and velocities.
+    """
     slope = _velocity_slopes(signals)
     if slope is None:
         return signals
@@ -328,6 +345,7 @@ def _unit_pair(position: str | None, velocity: str | None, ratio: float) -> _Uni
     """Units of position and velocity by the slope of their regression.
 
     The ratio is the slope of position increments over velocity integrals, in the units of the file.
+    If both units are unknown, only deg with rad/s is recognised.
     """
     if position in UNITS_BY_QUANTITY["position"] and velocity is None:
         return position, unit_of_size(
@@ -359,7 +377,12 @@ def _with_units(signal: LikelySignal, units: Sequence[str | None]) -> LikelySign
 def _units_by_size(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signals with the unit of positions by their size: degrees, or counts of a servo."""
+    """Signals with the unit of positions by their size: degrees, or counts of a servo.
+
+    Whole numbers from 0 with a largest of 1000 to 4095 are counts. A largest value between 4 pi and
+    720, but not near 100 (per cent), is in degrees. Units stated by names are kept, unless a known
+    logger's positions exceed 4 pi.
+    """
     if (q := signals.get("position")) is None:
         return signals
     values = signal_values(q)
@@ -398,7 +421,9 @@ def find_plates(
 ) -> list[tuple[str, LikelySource, list[ColumnName]]]:
     """Columns of the force plates, preferably of plates with six columns.
 
-    Plates that a file describes come first. If torques are known, only complete plates count.
+    Plates that a file describes are taken, else all plates of six columns that are no sensor at the
+    tool. Without such plates, the first sensor of six columns is taken or, without torques, the
+    first plate of any width.
 
     Args:
         sources: Sources whose columns are searched.
@@ -433,7 +458,10 @@ MIN_LOAD_SHARE = 0.02
 def _stated_plates(
     source: LikelySource,
 ) -> Iterator[tuple[str, LikelySource, list[ColumnName]]]:
-    """Plates that the file describes, without unloaded plates."""
+    """Yield plates that the file describes, without unloaded plates.
+
+    A plate is unloaded if its forces range over less than 2 % of the largest plate's range.
+    """
     table, by_name = source.table, {each.name: each for each in source.columns}
     plates = [each for each in table.plates if by_name.keys() >= set(each.columns)]
     spans = [

@@ -57,7 +57,7 @@ class LikelySource:
 
 
 def find_sources(paths: Sequence[Path]) -> list[LikelySource]:
-    """Tables of foreign files with the likely signals of their columns.
+    """Tables of foreign files with the likely clocks, and signals by the columns' names.
 
     Args:
         paths: Files; each topic of a bag that holds numbers is a table.
@@ -80,9 +80,10 @@ def find_sources(paths: Sequence[Path]) -> list[LikelySource]:
 
 
 def _with_signal_of_file_name(source: LikelySource) -> LikelySource:
-    """Source whose columns get the signal in the file's name.
+    """Source whose columns get the signal that the file's name states, as torque.csv.
 
-    Unchanged if a column states a signal; columns with a unit or wrench component stay unchanged.
+    The source is unchanged if the name of any column states a signal; columns with a unit or wrench
+    component are unchanged.
     """
     kind = parse_column_name(source.file.name.partition(".")[0]).kind
     has_signals = any(
@@ -100,7 +101,10 @@ def _with_signal_of_file_name(source: LikelySource) -> LikelySource:
 
 
 def _file_sources(path: Path, name: str) -> Iterator[LikelySource]:
-    """Sources of a file: a table for each topic and number of samples."""
+    """Yield sources of a file: a table for each topic and number of samples.
+
+    Unreadable topics are left out; if all are unreadable, the first error is raised.
+    """
     entries = read_tables(path)
     readable_tables = {
         topic: each for topic, each in entries.items() if isinstance(each, ForeignTable)
@@ -122,7 +126,10 @@ def _file_sources(path: Path, name: str) -> Iterator[LikelySource]:
 def _likely_source(
     name: str, path: Path, topic: str | None, table: ForeignTable
 ) -> LikelySource:
-    """Source of a table, with the likely clock and the columns that hold numbers."""
+    """Source of a table, with the likely clock and parsed names of other columns.
+
+    Columns whose name states a signal are left out if they hold no finite number.
+    """
     layout = layout_of_logger(table.columns)
     clock = find_clock(table, layout)
     names = [each for each in table.columns if each != clock.column]

@@ -60,7 +60,7 @@ class MappingTable(BaseModel):
 
 
 class SourceTable(MappingTable):
-    """File, or topic of a file, and its clock."""
+    """Source of signals: a file or a topic of a file, and its clock."""
 
     file: str
     """File name relative to the mapping file; a ROS 2 bag may be a folder."""
@@ -141,7 +141,7 @@ class GearTable(MappingTable):
 
 
 class SignalTable(MappingTable):
-    """Columns that become a signal of the joints: y = M (sign gain unit x) + offset."""
+    """Columns x that become a signal y of the joints: y = M (sign gain unit x) + offset."""
 
     source: str
     """Name of the source."""
@@ -213,7 +213,7 @@ class SixAxisTable(MappingTable):
 class ForceSensorTable(SixAxisTable):
     """Six columns that become the wrench of a force sensor in the robot.
 
-    NAME is a free name for the sensor.
+    Its table is [sensors.NAME], with a free name for the sensor.
     """
 
     link: str = ""
@@ -233,12 +233,12 @@ class WrenchTable(SixAxisTable):
     pedestal, it can only be removed."""
 
     def static_wrench(self, gravity: Sequence[float] | None) -> Array | None:
-        """Wrench in the reading that is not the robot's, (6,) [N, N m].
+        """Share of the wrench on the robot that other bodies cause, (6,) [N, N m].
 
-        None stands for the wrench of the model's pedestal.
+        Bedplate's frame and origin. None stands for the wrench of the model's pedestal.
 
         Args:
-            gravity: Gravity, (3,) [m/s^2]; None for the vertical.
+            gravity: Gravity in the bedplate's frame, (3,) [m/s^2]; None for gravity along -z.
         """
         if self.tare is not None:
             return np.array(self.tare)
@@ -472,7 +472,7 @@ def _check_wrench(table: SixAxisTable) -> None:
     """Check lengths of lists and units in the table of a wrench.
 
     Raises:
-        ValueError: Lengths or units do not fit.
+        ValueError: Lengths or units do not fit, or a tare is beside a pedestal.
     """
     check_unit("force", table.units[0])
     check_unit("moment", table.units[1])

@@ -41,7 +41,15 @@ def used_columns(mapping: Mapping) -> dict[str, list[str]]:
 
 
 def signal_columns(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
-    """Columns of the recording from one signal's raw values on the grid."""
+    """Columns of the recording from one signal's raw values on the grid, (L,) each.
+
+    They are in SI units, named SIGNAL/MEMBER, where members are joints or components.
+
+    Args:
+        mapping: Content of the mapping file.
+        label: Label of the signal's table in the mapping, as "torque" or "plates.NAME".
+        raw: Values in the units of the file, (L, k).
+    """
     table = mapping.all_signal_tables[label]
     signal, sensors = label, (label.removeprefix("sensors."),)
     if isinstance(table, SixAxisTable):
@@ -56,7 +64,12 @@ def signal_columns(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]
 
 
 def recording_metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
-    """Metadata of the recording's file: tare, report, mapping and facts."""
+    """Metadata of the recording's file: "tare" and "facts".
+
+    The tare is the sum of the plates' static wrenches, 6 numbers [N, N m]; None stands for that of
+    the model's pedestal. The facts are report, mapping, diagnostics, sensors, kinds of joints and
+    torques, and gravity, as far as they are not empty.
+    """
     metadata = {
         "import": to_json_values(report),
         "mapping": mapping.model_dump(mode="json", exclude_none=True),

@@ -29,9 +29,10 @@ oscillate between uneven samples."""
 
 
 def filter_half_length(source_rate: float, rate: float) -> float:
-    """Half length of the low-pass filter [s]; 0 if none is needed.
+    """Half length of the low-pass filter [s].
 
-    The filter takes this time from both ends of a source.
+    It is 0, as there is no filter, for source rates up to 1.01 times the grid's. The filtered
+    signal is shorter than the source by this time at both ends.
 
     Args:
         source_rate: Sampling rate of the source [Hz].
@@ -48,13 +49,15 @@ def resample_to_grid(
 ) -> Array:
     """Signal at the instants of a uniform grid, (L, k).
 
-    A source that is faster than the grid is low-passed; a spline interpolates.
+    A source that is faster than the grid is low-passed (linear-phase FIR filter, passband to 0.7
+    Nyquist frequencies of the grid); a spline interpolates. Samples that coincide with all grid
+    times are returned unchanged.
 
     Args:
         time: Sample times, increasing, (M,) [s].
         values: Signal, (M, k).
         source_rate: Sampling rate [Hz].
-        grid: Grid times, at least `low_pass_reach` inside the ends of `time`, (L,) [s].
+        grid: Grid times, at least `filter_half_length` inside the ends of `time`, (L,) [s].
     """
     rate = (len(grid) - 1) / (grid[-1] - grid[0])
     first = int(np.searchsorted(time, grid[0] - TIME_TOLERANCE))
@@ -96,7 +99,7 @@ def _interpolating_spline(
 
 
 def _kaiser_design(source_rate: float, rate: float) -> tuple[int, float]:
-    """Odd number of taps of the low-pass filter, and the Kaiser window's shape."""
+    """Odd number of taps of the low-pass filter, and shape parameter of the Kaiser window."""
     from scipy.signal import kaiserord
 
     taps, beta = kaiserord(
@@ -127,8 +130,9 @@ def spline_to_common_rows(time: Array, values: Array) -> tuple[NDArray[np.intp],
         values: Values, (M, k); nan where a row belongs to another device.
 
     Returns:
-        Rows of the column with most values, in the interval that all columns cover; values there,
-        (M, k).
+        Indices of the common rows, which are those of the column with most values in the interval
+        that all columns cover; and splined values, (M, k), nan in other rows. No row is common if a
+        column has fewer than four values, or a gap above 0.1 s and three sampling intervals.
     """
     rows_of_columns = [
         np.flatnonzero(np.isfinite(each) & np.isfinite(time)) for each in values.T

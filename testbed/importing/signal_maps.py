@@ -32,13 +32,16 @@ from testbed.importing.mapping import (
 def joint_signal(
     kind: str, table: SignalTable, gear: GearTable | None, columns: Array
 ) -> Array:
-    """Signal at the joints in SI units, (M, n).
+    """Signal at the joints in SI units, (M, n): G M (gain sign unit x) + offset.
+
+    M is the mapping's matrix. G converts from the motors' side, if the signal is measured there:
+    the transposed gear matrix for torques, else the inverse gear matrix.
 
     Args:
-        kind: Quantity.
+        kind: Quantity, as "position" or "torque".
         table: Table of the signal in the mapping.
         gear: Gear between motors and joints; None if there is none.
-        columns: Values in the units of the file, (M, k).
+        columns: Values x in the units of the file, (M, k).
     """
     scale = np.array([unit_size(kind, unit) for unit in table.units])
     for factors in (table.gain, table.sign):
@@ -76,9 +79,10 @@ def without_sign_bit(values: Array, bit: int) -> Array:
 
 
 def detected_sign_bit(values: Array) -> int:
-    """Sign bit of integers, by the continuity of the signal; 0 for none.
+    """Sign bit of integers, by the continuity of the signal; 0 without a sign bit.
 
-    A bit is taken if the squared differences of the signed values are less than half of the others.
+    The highest bit, if in `SIGN_BITS`, is taken as a sign if this reduces the sum of the squared
+    differences from sample to sample to less than half.
 
     Args:
         values: All columns of a signal, (M, k).
@@ -95,14 +99,14 @@ def detected_sign_bit(values: Array) -> int:
 
 
 def torques_with_sign(table: SignalTable, values: Array) -> Array:
-    """Torques with sign, from the sign bit of the mapping, (M, k).
+    """Torques in units of the file, signed by the mapping's sign bit, (M, k).
 
     Args:
         table: Table of the torques in the mapping.
         values: Values as in the file, (M, k).
 
     Raises:
-        RecordingError: The values seem to have a sign bit, and the mapping states none.
+        RecordingError: `detected_sign_bit` finds a sign bit, and the mapping has no `sign_bit`.
     """
     bit = detected_sign_bit(values) if table.sign_bit is None else 0
     if bit:
@@ -148,14 +152,16 @@ def continuous_quaternions(quaternions: Array) -> Array:
 
 
 def base_pose_from_columns(table: BaseTable, columns: Array) -> Array:
-    """Position and unit quaternion of a base, (M, 7) [m].
+    """Position [m] and unit quaternion (w, x, y, z) of a moving base, (M, 7).
+
+    It is the pose of the root link's frame in the ground's frame.
 
     Args:
         table: Table of the base in the mapping.
         columns: Values in the units of the file, (M, 7).
 
     Raises:
-        RecordingError: The norm of a quaternion is not one.
+        RecordingError: The norm of a quaternion differs from one by more than 0.01.
     """
     turn = columns[:, 3:]
     size = np.linalg.norm(turn, axis=1, keepdims=True)
@@ -193,10 +199,10 @@ EFFORT_OF_UNIT = {"pwm": "pwm", "A": "current", "mA": "current"}
 
 
 def effort_kinds(mapping: Mapping) -> dict[str, str]:
-    """Quantity behind each joint's torque: current, pwm, motor torque or joint torque.
+    """Measured quantity of each joint's torque: "current", "pwm", "motor" or "torque".
 
-    Currents, pwm and motor torques move rotors. If a matrix mixes the columns, the unit of the
-    first column counts.
+    The unit states current and pwm; otherwise the side of the gear decides between torques of motor
+    and joint. If a matrix mixes the columns, the unit of the first column counts.
 
     Args:
         mapping: Content of the mapping file.
@@ -214,7 +220,9 @@ def effort_kinds(mapping: Mapping) -> dict[str, str]:
 
 
 def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
-    """Compare the units that a file states with the units in a mapping.
+    """Refuse a mapping whose units differ from the units that the file states.
+
+    Columns that `gain` or the matrix of a wrench converts are not compared.
 
     Args:
         label: Label of the table in the mapping.

@@ -35,7 +35,9 @@ MAX_SAMPLING_TIME, MIN_SAMPLING_TIME = 1e9, 1e-9
 
 
 def longest_interpolated_gap(table: SourceTable, typical: float) -> float:
-    """Longest gap that splines interpolate [s].
+    """Longest gap between samples that splines interpolate [s].
+
+    It is `max_gap` of the mapping, else 0.1 s, or three sampling intervals if that is longer.
 
     Args:
         table: Table of the source in the mapping.
@@ -81,7 +83,7 @@ class SourceTimes:
     two parts.
 
     Attributes:
-        start: Whole minutes before the first sample [s].
+        start: Time of the first sample, rounded towards zero to whole minutes [s].
         time_after_start: Times after `start`, (M,) [s].
     """
 
@@ -94,7 +96,7 @@ class SourceTimes:
 
         Args:
             stamps: Time stamps, (M,).
-            unit: Unit of the stamps, of `TIMES`.
+            unit: Unit of the stamps, a key of `TIME_UNITS`.
         """
         if unit == "day":
             return SourceTimes.from_stamps(
@@ -112,6 +114,8 @@ def times_from_common_origin(
     times: Mapping[str, SourceTimes], offsets: Mapping[str, float]
 ) -> dict[str, Array]:
     """Times of several sources from a common origin, (M,) each [s].
+
+    The origin is the earliest first sample, rounded to whole minutes, and at least zero.
 
     Args:
         times: Times by the sources' own clocks.
@@ -131,7 +135,7 @@ def times_from_common_origin(
 def sample_times(
     name: str, table: SourceTable, stamps: Array | NDArray[np.int64], unit: str | None
 ) -> SourceTimes:
-    """Sample times by the clock of a source, without offset and skew.
+    """Sample times of a source from its time stamps, before offset and skew are corrected.
 
     Args:
         name: Name of the source.
@@ -162,8 +166,8 @@ def distinct_sample_mask(
 ) -> NDArray[np.bool_]:
     """Mask of the samples that do not repeat the sample before, (M,) of bool.
 
-    All samples count if the values of a steady device change while its stamps do not: the clock is
-    coarse.
+    A repetition has the time stamp and all values of the sample before. All samples of a steady
+    device are kept if stamps repeat with other values and never decrease: the clock is coarse.
 
     Args:
         name: Name of the source.
@@ -192,6 +196,8 @@ def distinct_sample_mask(
 def equidistant_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
     """Equidistant times of stamps with jitter or coarse resolution, (M,) [s].
 
+    The line of `fit_time_line` over sample numbers is taken, else the line over row indices.
+
     Args:
         name: Name of the source.
         time: Time stamps, (M,) [s].
@@ -199,7 +205,7 @@ def equidistant_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
             belong to another device.
 
     Raises:
-        RecordingError: The stamps do not lie along a line: samples are missing.
+        RecordingError: The stamps agree with neither line: samples are missing.
     """
     for numbering in (np.arange(len(time)), rows):
         line, errors, is_line = fit_time_line(time, numbering)
@@ -216,15 +222,16 @@ def fit_time_line(time: Array, number: NDArray[Any]) -> tuple[Array, Array, bool
     """Fit a line to time stamps, and test the stamps for a constant rate.
 
     If stamps of a coarse clock repeat, the line is fitted to the stamps at which the clock
-    advances.
+    advances; the rate is constant if deviations span at most two intervals. Else the rate is
+    constant if the deviations' moving average over 101 stamps is at most half an interval.
 
     Args:
         time: Time stamps, (M,) [s].
         number: Numbers of the samples, (M,), as 0, 1, ....
 
     Returns:
-        Times along the line (M,) [s], deviations of the stamps from the line [s], and True if a
-        constant rate explains the stamps.
+        Times along the line (M,) [s], the tested deviations of the stamps from the line [s], and
+        True if a constant rate explains the stamps.
     """
     jumps = np.flatnonzero(np.diff(time) > 0) + 1
     # where a coarse clock advances, the delay is less than one step
@@ -245,7 +252,10 @@ def fit_time_line(time: Array, number: NDArray[Any]) -> tuple[Array, Array, bool
 
 
 def _fitted_line(number: NDArray[Any], time: Array) -> tuple[float, float]:
-    """Slope and intercept of the least-squares line of times over sample numbers."""
+    """Slope and intercept of the least-squares line of times over sample numbers.
+
+    Both are zero for fewer than two samples.
+    """
     if len(number) < 2:
         return 0.0, 0.0
     centred = number - number.mean()
@@ -266,8 +276,8 @@ def clock_report(
         repeated: Number of repeated samples that were omitted.
 
     Raises:
-        RecordingError: There are fewer than four samples, the sampling interval is implausible, or
-            a gap is too long.
+        RecordingError: There are fewer than four samples, the median interval is outside 1e-9 s to
+            1e9 s, or a gap is longer than `longest_interpolated_gap`.
     """
     if len(time) < 4:
         raise RecordingError(
@@ -317,11 +327,11 @@ def windows_between_gaps(
 ) -> tuple[list[Window], list[Diagnostic]]:
     """Intervals of a window between long gaps of the sources, and diagnostics of the gaps.
 
-    The whole window is returned, without diagnostics, if there is no gap or no interval is long
-    enough.
+    Gaps longer than `longest_interpolated_gap` divide the window; intervals shorter than 1 s are
+    omitted. The whole window is returned, without diagnostics, if no gap or no interval remains.
 
     Args:
-        window: Interval to be divided.
+        window: Interval to be divided [s].
         clocks: For each signal: source name, the source's table in the mapping, sample times (M,)
             [s] and row indices in the file (M,).
     """
@@ -359,14 +369,14 @@ def slice_within_gaps(
     part: slice,
     window: Window,
 ) -> slice:
-    """Slice of the samples near a window, without samples beyond a gap outside it.
+    """Slice of the samples near a window, cut at long gaps outside the window.
 
     Args:
         source: Table of the source in the mapping.
         time: Sample times, (M,) [s].
         rows: Row indices of the samples in the file, (M,).
-        part: Samples in the window, and some neighbours.
-        window: Interval of the recording.
+        part: Slice of the samples in the window, and some neighbours.
+        window: Interval of the recording [s].
     """
     first, stop = part.start, part.stop
     for gap_start, gap_end in _gap_intervals(source, time, rows):
@@ -381,10 +391,10 @@ def slice_within_gaps(
 def _gap_intervals(
     source: SourceTable, time: Array, rows: NDArray[np.intp]
 ) -> list[Window]:
-    """Times of the samples before and after each long gap [s].
+    """Times of the samples before and after each gap beyond `longest_interpolated_gap` [s].
 
-    For a steady device, row indices count, not stamps: late stamps are no gap, but rows without
-    numbers are.
+    Gaps of a steady device are found from row indices, not from stamps: late stamps are no gap, but
+    rows without numbers are.
     """
     steps = np.diff(time)
     if source.steady:

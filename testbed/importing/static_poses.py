@@ -40,6 +40,8 @@ def read_static_poses(
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
     """Read joint positions, (P, n) [rad or m], and wrenches, (P, 6) [N, N m], of static poses.
 
+    Wrenches are in the frame and sense of the file, force before moment.
+
     Args:
         path: File of any supported format.
         tree: Robot; each joint has a column.
@@ -85,7 +87,10 @@ def read_static_poses(
 
 
 def _pose_source(path: Path, table: ForeignTable) -> LikelySource:
-    """Source of a table, without the time column; columns without a signal are positions."""
+    """Source of a table, without the time column.
+
+    Columns whose names state neither a signal nor a unit are positions.
+    """
     clock = find_clock(table)
     names = [
         parse_column_name(each, table.unit(each))
@@ -121,7 +126,10 @@ def _column_in_si(
 def _position_columns(
     tree: Tree, signal: LikelySignal, *, degrees: bool
 ) -> Iterator[tuple[str, str, Mapping[str, float]]]:
-    """Column, unit and known units of each joint's position."""
+    """Yield column name, unit, and known units with SI sizes, of each joint's position.
+
+    Without a unit, angles are in rad, or in degrees with `degrees`, and lengths in m.
+    """
     for joint in tree.joints:
         k = signal.group.names.index(joint.name)
         default, units = (

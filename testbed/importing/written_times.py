@@ -20,7 +20,8 @@ DAY_MICROSECONDS = 86_400e6
 def parse_instant(text: str) -> float:
     """Instant since 1970, or since midnight without a date [us].
 
-    The day comes first in 4.3.2026; the month comes first in 3/4/2026, if it can be a month.
+    The day comes first in 4.3.2026; the month comes first in 3/4/2026, if it can be a month. An
+    instant with a time zone is converted to UTC.
 
     Args:
         text: Text of a field.

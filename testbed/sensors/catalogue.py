@@ -20,7 +20,8 @@ from testbed.sensors.systematic_error import SystematicError
 def sensor_errors() -> tuple[type[SensorError], ...]:
     """Classes of all sensor errors, the last stage of the measuring chain first.
 
-    Within a stage, errors of the wrench come before errors of tare, torques and positions.
+    Within a stage, errors of the wrench come before errors of tare, torques and positions; then by
+    kind. The classes include abstract ones, which cannot be simulated.
     """
 
     def classes() -> Iterator[type[SensorError]]:
@@ -56,17 +57,20 @@ def systematic_errors() -> Mapping[str, type[SystematicError]]:
 
 
 def estimable_errors() -> tuple[type[SystematicError], ...]:
-    """Systematic errors whose coefficients can be unknowns of an estimate."""
+    """Systematic errors whose coefficients can be unknowns of an estimate (`estimated`)."""
     return tuple(e for e in systematic_errors().values() if e.estimated)
 
 
 def candidate_errors() -> tuple[type[SystematicError], ...]:
-    """Systematic errors for which the residuals of every estimate are tested."""
+    """Systematic errors for which the residuals of every estimate are tested (`tested`)."""
     return tuple(e for e in systematic_errors().values() if e.tested)
 
 
 def terms_by_name() -> Mapping[str, str]:
-    """Terms that can be estimated, by the names of kinds and by the terms."""
+    """Terms that can be estimated, by the names of kinds and by the terms.
+
+    A kind that is estimated by a more general term (`estimated_as`) has that term.
+    """
     by_kind = {e.kind: e.estimated_as or e.term for e in systematic_errors().values()}
     estimable_terms = {e.term: e.term for e in estimable_errors()}
     return {
@@ -96,11 +100,14 @@ def errors_of(
 ) -> Mapping[type[SystematicError], list[float]]:
     """Values of the coefficients by sensor error, neutral where not given.
 
-    Sensor errors without a given coefficient are left out.
+    Of errors that can be estimated; sensor errors without a given coefficient are left out.
 
     Args:
         tree: The robot.
         values: Values by coefficient name, as "pose/rx".
+
+    Returns:
+        Values in the order of the error's `coefficients`, by class.
 
     Raises:
         UnknownName: No sensor error has such a coefficient.

@@ -17,7 +17,8 @@ from testbed.sensors.systematic_error import SystematicError
 class CorrectedSource(DerivedSource):
     """Recording corrected for sensor errors, joints in the order of the tree.
 
-    Samples at the ends that a delay leaves without neighbours are left out.
+    The errors are corrected one after the other, from the end of the measuring chain. Samples at
+    the ends that a delay leaves without neighbours are left out.
     """
 
     def __init__(
@@ -59,7 +60,8 @@ class CorrectedSource(DerivedSource):
 def corrected(source: Source, tree: Tree, coefficients: Mapping[str, float]) -> Source:
     """Recording corrected for sensor errors estimated from another recording.
 
-    Errors that differ between recordings, the plate's zero and drift, are not corrected.
+    Errors that differ between recordings, the plate's zero and drift, are not corrected; without
+    other errors, the recording is returned unchanged.
 
     Args:
         source: The recording, of the same sensors.

@@ -136,7 +136,11 @@ class Key:
         return self._number(value)
 
     def _number(self, value: Any) -> float | int:
-        """Value converted to a number within the bounds."""
+        """Value converted to a number within the bounds.
+
+        Raises:
+            TypeError, ValueError: The value is no number, or not allowed.
+        """
         if isinstance(value, bool | str | bytes):
             raise TypeError
         number = float(value)
@@ -253,11 +257,14 @@ class KindTable(Value, ABC):
     def joint_values(self, names: tuple[str, ...]) -> dict[str, Any]:
         """Values of per-joint keys in joint order; a single number is kept.
 
+        By name of the key. Joints omitted in a table by joint name have zero, or the key's default
+        if zero is not allowed.
+
         Args:
             names: Joint names.
 
         Raises:
-            SettingsError: A joint is unknown, or values of some joints are missing.
+            SettingsError: A joint is unknown, or a list has another number of values.
         """
         joint_keys = {
             k: key for k, key in self.known_keys().items() if key.members == "joints"
@@ -270,10 +277,16 @@ class KindTable(Value, ABC):
     def _joint_value(self, name: str, key: Key, names: tuple[str, ...]) -> Any:
         """Value of a per-joint key in joint order; a single number is kept.
 
+        Joints omitted in a table by joint name have zero, or the key's default if zero is not
+        allowed.
+
         Args:
             name: Name of the key.
             key: The key.
             names: Joint names.
+
+        Raises:
+            SettingsError: A joint is unknown, or a list has another number of values.
         """
         value = getattr(self, name)
         if isinstance(value, Mapping):

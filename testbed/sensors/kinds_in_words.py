@@ -35,6 +35,9 @@ class KindDescription:
 def describe_kind(kind: type[KindTable]) -> KindDescription:
     """Description of a kind, from its docstring and its default values.
 
+    The docstring has the summary as first paragraph, details, the paragraph "Source", and the
+    meanings of the keys as "Attributes:".
+
     Args:
         kind: Class of the kind; all its keys have defaults.
     """

@@ -24,6 +24,9 @@ from testbed.core.robot.tree import Tree
 class RowFilter:
     """Low-pass filter with decimation, from instants or samples to rows.
 
+    Rows are the times at which the filtered signals enter the regression; instants are every
+    `stride`-th sample. J instants and L samples on either side of a row have a weight.
+
     Attributes:
         stride: Number of samples from one instant to the next.
         weights: Weights of the instants around a row, (2 J + 1,), of sum one.
@@ -94,13 +97,15 @@ class PredictedWrench:
     def coordinate_derivative(
         self, joint: int, dq: Array | float, dqd: Array | float, dqdd: Array | float
     ) -> Array:
-        """Derivative of the wrench by an error of one joint coordinate, (m, 6).
+        """Derivative of the wrench with respect to an error of one joint coordinate, (m, 6).
+
+        Derivatives of the coordinate are per unit of the error; without filter, at the instants.
 
         Args:
             joint: Joint index.
-            dq: Derivative of the joint position by the error, (m,).
-            dqd: Derivative of the joint velocity by the error, (m,).
-            dqdd: Derivative of the joint acceleration by the error, (m,).
+            dq: Derivative of the joint position with respect to the error, (m,).
+            dqd: Derivative of the joint velocity with respect to the error, (m,).
+            dqdd: Derivative of the joint acceleration with respect to the error, (m,).
         """
         changes = (
             np.broadcast_to(each, self.motion.samples)[:, None, None]
@@ -110,10 +115,10 @@ class PredictedWrench:
         return joint_slopes.force_changes(*changes)[:, :, 0, 0]
 
     def joint_time_derivative(self, joint: int) -> Array:
-        """Time derivative of the wrench by one joint's motion alone, filtered, (rows, 6, 1).
+        """Time derivative of the wrench due to one joint's motion alone, filtered, (rows, 6, 1).
 
-        The jerk is not measured: its term is integrated by parts, with the derivative of the
-        filter.
+        In N/s and N m/s. The jerk is not measured: its term is integrated by parts, with the
+        derivative of the filter.
 
         Args:
             joint: Joint index.
@@ -134,7 +139,7 @@ class PredictedWrench:
 
     @cached_property
     def _derivatives(self) -> ForceDerivatives:
-        """Predicted wrench at the instants, with derivatives by the joint coordinates."""
+        """Predicted wrench at the instants, with its gradients over the joint coordinates."""
         return force_derivatives(self.tree, self.motion, self.theta, self.gravity)
 
     def filter_signals(self, signals: Array) -> Array:
@@ -147,11 +152,11 @@ class PredictedWrench:
 
 
 def filtered(signals: Array, weights: Array, step: int) -> Array:
-    """Weighted sums of consecutive instants of signals (m, C, k), (rows, C, k).
+    """Weighted sums of consecutive instants of signals, (rows, C, k).
 
     Args:
-        signals: Signals at the instants, (m, C, k).
-        weights: Weights of the instants around a row.
+        signals: k signals of C channels at the m instants, (m, C, k).
+        weights: Weights of the instants around a row, (2 J + 1,).
         step: Number of instants from row to row.
     """
     windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)

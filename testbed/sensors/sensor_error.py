@@ -103,6 +103,9 @@ class SensorError(KindTable):
     def with_random_values(self, joints: int, rng: np.random.Generator) -> Self:
         """Copy of the error with random signs and phases where only a magnitude is given.
 
+        Keys with a random sign: a single number becomes a list with random signs. Keys with a
+        random phase: an omitted value becomes a list of phases from 0 to 2 pi.
+
         Args:
             joints: Number of joints.
             rng: Random stream of the error for this draw.

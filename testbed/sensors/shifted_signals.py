@@ -11,11 +11,12 @@ _INTERPOLATION_POINTS = 8
 
 
 def shifted_signal(signal: Array, samples: float) -> Array:
-    """Signal advanced by a number of samples, by Lagrange interpolation.
+    """Signal advanced by a number of samples, by Lagrange interpolation of eight samples.
 
     Args:
         signal: Signal, (M, k); its first and last value are held beyond its ends.
-        samples: Number of samples, of either sign; need not be an integer.
+        samples: Number of samples, of either sign; need not be an integer. Sample i of the result
+            is the signal at i + samples.
     """
     whole = int(np.floor(samples))
     nodes = np.arange(_INTERPOLATION_POINTS) - (_INTERPOLATION_POINTS // 2 - 1)

@@ -87,7 +87,7 @@ class SystematicError(SensorError):
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
-        """Coefficients of the error on a robot, k in number.
+        """Coefficients of the error on a robot, (k,).
 
         Args:
             tree: The robot: names and kinds of its joints, cuts at force sensors.
@@ -129,7 +129,9 @@ class SystematicError(SensorError):
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Derivative of `effect` by the coefficients, (M, c, k); default by central differences.
+        """Derivative of `effect` with respect to the coefficients, (M, c, k).
+
+        By default by central differences with steps of `COEFFICIENT_STEP`.
 
         Args:
             signal: Signal without the error, (M, c).
@@ -145,7 +147,10 @@ class SystematicError(SensorError):
 
     @classmethod
     def corrected_signal(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Signal without the error, (M, c): inverse of `effect`; default by iteration.
+        """Signal without the error, (M, c): inverse of `effect`.
+
+        By default by fixed-point iteration until a change is at most `CONVERGENCE_TOLERANCE` of the
+        signal, at most `MAX_ITERATIONS` times.
 
         Args:
             signal: Signal with the error, (M, c).
@@ -194,7 +199,9 @@ class SystematicError(SensorError):
     @classmethod
     @abstractmethod
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the measured wrench by the coefficients at the rows, (rows, 6, k).
+        """Derivative of the residual wrench with respect to the coefficients, (rows, 6, k).
+
+        The residual is the measured minus the predicted wrench at the rows, filtered.
 
         Args:
             predicted: Wrench and motion predicted by an estimate.
@@ -205,7 +212,8 @@ class SystematicError(SensorError):
         """Regressor columns from the measured wrench where possible, (rows, 6, k).
 
         Encoder noise affects both the predicted wrench and the residual, and biases weakly
-        identifiable coefficients of columns from the predicted wrench.
+        identifiable coefficients of columns from the predicted wrench. By default the columns are
+        those of `regressor_columns`.
 
         Args:
             predicted: Predicted and measured wrench.
@@ -230,13 +238,19 @@ class PlateError(SystematicError):
 
     @classmethod
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the error of the predicted wrench by the coefficients, (rows, 6, k)."""
+        """Derivative of the error of the predicted wrench, (rows, 6, k).
+
+        With respect to the coefficients, at their neutral values.
+        """
         neutral = cls.neutral(predicted.tree)
         return cls.derivative(predicted.wrench, predicted.time, neutral)
 
     @classmethod
     def columns_from_measured(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the error of the measured wrench by the coefficients, (rows, 6, k)."""
+        """Derivative of the error of the measured wrench, (rows, 6, k).
+
+        With respect to the coefficients, at their neutral values.
+        """
         return cls.derivative(
             predicted.measured_wrench, predicted.time, cls.neutral(predicted.tree)
         )
@@ -267,14 +281,18 @@ class EncoderError(SystematicError):
     def coordinate_errors(
         cls, q: Array, qd: Array, qdd: Array
     ) -> Iterable[tuple[Any, Any, Any]]:
-        """Derivatives of a joint's position, velocity and acceleration by its coefficients.
+        """Derivatives of a joint's position, velocity and acceleration by coefficient.
 
-        By default from differences of `effect` along the motion.
+        By default from differences of `effect` along the motion, with steps of `TIME_STEP`.
 
         Args:
             q: Joint position, (m,) [rad or m].
             qd: Joint velocity, (m,) [rad/s or m/s].
             qdd: Joint acceleration, (m,) [rad/s^2 or m/s^2].
+
+        Returns:
+            For each coefficient: derivatives of position, velocity and acceleration with respect to
+            it, (m,) or a number each.
         """
         derivatives = []
         for h in (-TIME_STEP, 0.0, TIME_STEP):
@@ -291,7 +309,7 @@ class EncoderError(SystematicError):
 
     @classmethod
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the residual wrench by the coefficients, (rows, 6, k).
+        """Derivative of the residual wrench with respect to the coefficients, (rows, 6, k).
 
         The residual is the measured wrench minus the wrench predicted at the measured positions.
         """
@@ -318,11 +336,14 @@ class ClockError(SystematicError):
     @classmethod
     @abstractmethod
     def delay_derivative(cls, time: Array) -> Array | float:
-        """Derivative of the plate's delay by the coefficient, (M,) or a number [s]."""
+        """Derivative of the plate's delay [s] with respect to the coefficient, (M,) or a number."""
 
     @classmethod
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the wrench by the coefficient of a delay, (rows, 6, 1)."""
+        """Derivative of the measured wrench with respect to a delay's coefficient, (rows, 6, 1).
+
+        Minus the time derivative of the predicted wrench, times the derivative of the delay.
+        """
         delay_derivative = np.broadcast_to(
             cls.delay_derivative(predicted.time), len(predicted.time)
         )

@@ -35,7 +35,7 @@ RESULT = (
 """Keys of a run's and of a recording's."""
 COMMANDS = {
     "minimal": ("minimal puma562.xml --zeros --verify --terms rotor --map --json",
-                "S drives dynamic gravity joints map parameters reaction robot verified"),
+                "S drives gravity joints map parameters robot torque verified wrench"),
     "minimal, latex": ("minimal puma562.xml --latex --tared --zero mb1x", ""),
     "equations": ("equations puma562.xml --what gravity-forces --zeros --json",
                   "constants equations form gravity robot text"),
@@ -62,10 +62,10 @@ COMMANDS = {
                "joints links mean names prior_error share sigma"),
     "sample, run": ("sample run -n 3 --out OUT/drawn", ""),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
-                "centre chance covariance diagnostics identifiable joint names rank sigma "
+                "centre covariance diagnostics identifiable joint names p_value rank sigma "
                 "unidentifiable units values"),
     "tool": (f"tool one.parquet {ROBOT} --sensor link3 --json",
-             "centre chance covariance diagnostics identifiable joint names rank sigma "
+             "centre covariance diagnostics identifiable joint names p_value rank sigma "
              "unidentifiable units values"),
     "report": ("report OUT/run --out OUT/run.html", ""),
     "view": (f"view OUT/run no_torque.parquet {ROBOT} --save OUT/run.rrd", ""),
@@ -77,9 +77,9 @@ COMMANDS = {
                "complete criterion diagnostics file fundamental gain harmonics predicted proof "
                "random searches value"),
     "excite, check": ("excite OUT/m.toml --check --json",
-                      "binding holds instants margins postures"),
+                      "binding instants is_valid margins postures"),
     "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={j1=0.01} --json",
-                         "binding holds instants margins postures"),
+                         "binding instants is_valid margins postures"),
     "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
     "import": ("import map.toml --out OUT/i.parquet --json", "clocks diagnostics import"),
     "import, guess": ("import --guess log.csv", ""),

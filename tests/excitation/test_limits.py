@@ -121,7 +121,7 @@ def test_limits_that_mean_nothing_name_their_joint(puma: tb.Tree) -> None:
     motion, effort = random_motion(puma, None, 0.2, 4, 3), 0.01 * joint_limits(puma).effort
     held = replace(joint_limits(puma), effort=effort)  # less than the weight needs
     smooth = each(puma, coulomb=0.0)
-    lying = rules(smooth, held, terms=(EffortTerm(smooth, held, 1.0),))
+    lying = rules(smooth, held, force_limits=(EffortTerm(smooth, held, 1.0),))
     dragging = each(puma, coulomb=0.9 * joint_limits(puma).effort.min())
     for kind, culprit, asked in (
         (UnknownName, "wrist", lambda: joint_limits(puma, {"wrist": 1.0})),
@@ -255,7 +255,7 @@ def test_efforts_and_plate_are_proven_as_tightly_as_they_are(haste: float, puma:
     limits, pedestal = joint_limits(puma), tb.pedestal_wrench(puma)
     motion = random_motion(puma, limits, 0.1, 5, int(haste))
     motion = replace(motion, fundamental=haste * motion.fundamental)
-    held = rules(puma, limits, terms=(EffortTerm(puma, limits, 1.0),))
+    held = rules(puma, limits, force_limits=(EffortTerm(puma, limits, 1.0),))
     left = [m.left for m in prove(motion, held).margins if "effort" in m.label]
     fine = motion.at(np.linspace(0, motion.period, 30_001))
     smooth = motor_efforts(each(puma, coulomb=0.0), fine)
@@ -267,7 +267,7 @@ def test_efforts_and_plate_are_proven_as_tightly_as_they_are(haste: float, puma:
     for factor, holds in ((1.01, True), (0.99, False)) if haste == 1 else ():
         pressed = PlateRange(np.full(6, INF), factor * place.max(axis=0))
         for range_ in (PlateRange(factor * most), pressed):
-            held = rules(puma, limits, terms=(PlateTerm(range_, pedestal, 1.0),))
+            held = rules(puma, limits, force_limits=(PlateTerm(range_, pedestal, 1.0),))
             assert prove(motion, held).is_valid is holds
             assert respects_limits_at_samples(motion, held) is holds
 

@@ -288,8 +288,8 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
     assert (np.abs(second - first).max(axis=0) > 0.2 * np.ptp(first, axis=0)).all()
     seen: list[tb.Experiment] = []
 
-    def kept(asked: tb.Experiment, *_: object, installation_seed: int, motion: tb.Fourier) -> None:
-        assert installation_seed == asked.seed - 1  # what chance decides once stays
+    def kept(asked: tb.Experiment, *_: object, installed: int, motion: tb.Fourier) -> None:
+        assert installed == asked.seed - 1  # what chance decides once stays
         assert motion.fundamental == asked.motion.fundamental
         seen.append(asked)
 

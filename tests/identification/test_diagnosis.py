@@ -37,7 +37,7 @@ pytestmark = pytest.mark.slow
 
 TOLD = {
     "tare 0": "plate.tare of the tare's force",
-    "moments in N mm": "estimate.impossible of the external estimate",
+    "moments in N mm": "estimate.impossible of the wrench estimate",
     "Fz of opposite sign": "plate.negative-mass of the robot's total mass",
     "Mz of opposite sign": "channel.residual of channel Mz",
     "Fy dead": "channel.constant of channel Fy",

@@ -260,7 +260,7 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
     for signal, channel in (("position", tree.names[2]), ("wrench", "Fz")):
         values = np.array(recording.measured(signal))
         values[700, 2] += 10 * np.ptp(values[:, 2])
-        (said,) = checked({signal: values}).certain
+        (said,) = checked({signal: values}).errors
         assert said.causes == ("spikes",)
         assert channel in said.subject
         assert f"{recording.time[700]:.6g} s" in said.text
@@ -274,10 +274,10 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
         for name in ("position", "torque", "wrench")
     }
     found = checked({"wrench": still["wrench"]})
-    assert [each.subject for each in found.certain] == ["the plate"]
+    assert [each.subject for each in found.errors] == ["the plate"]
     found = checked(still)
-    assert found.certain == ()
-    assert [each.subject for each in found.likely] == ["the robot"]
+    assert found.errors == ()
+    assert [each.subject for each in found.warnings] == ["the robot"]
 
 
 @pytest.mark.slow

@@ -108,6 +108,9 @@ class FrictionCurve:
 def _node_law(direction: int, number: int) -> JointLaw:
     """Law whose coefficient is the friction torque at a node, for one direction of motion.
 
+    Its column is a hat function of speed: 1 at the node, 0 at the others and in the other
+    direction; the last node's stays 1 beyond.
+
     Args:
         direction: Direction of motion, 1 or -1.
         number: Index of the node.
@@ -138,8 +141,8 @@ def friction_curves(
 ) -> tuple[FrictionCurve, ...]:
     """Estimate the friction curve of each joint, with its torque constant.
 
-    Rotor inertia and load-dependent friction, which are not part of the curve, are estimated at the
-    same time.
+    Rotor inertia and load-dependent friction of `drives`, which are not part of the curve, are
+    estimated at the same time. Nodes with too few rows (`MIN_ROWS`) are left out.
 
     Args:
         problem: Problem by joint torques.
@@ -176,7 +179,10 @@ def friction_curves(
 
 
 def _used_nodes(torques: TorqueRegressionData, joint: int) -> list[Node]:
-    """Nodes with enough data, negative direction first, then by ascending index."""
+    """Nodes with at least `MIN_ROWS` effective rows, negative direction first, then by index.
+
+    Effective rows: sum of squares of the node's column.
+    """
     normal, _, _ = torques.equations.of_channel(joint)
     columns = torques.drives.columns @ torques.terms(joint, NODE_LAWS.values())
     effective_rows = np.einsum("ik,ij,jk->k", columns, normal, columns)
@@ -190,9 +196,9 @@ def _used_nodes(torques: TorqueRegressionData, joint: int) -> list[Node]:
 def _interpolation_matrix(
     torques: TorqueRegressionData, joint: int, nodes: Sequence[Node], direction: int
 ) -> Array:
-    """Matrix from torques at used nodes to torques at all nodes, one direction, (asked, k).
+    """Matrix from torques at k used nodes of one direction to all requested terms, (asked, k).
 
-    Linear interpolation in speed; constant for a single used node.
+    Torques at unused nodes: linear inter- and extrapolation in speed; constant for one used node.
 
     Args:
         torques: Regression data of the joint torques.
@@ -247,8 +253,8 @@ class JointTermChoice:
     """Chosen friction laws of one joint.
 
     Attributes:
-        laws: Chosen laws, the laws of every joint included.
-        steps: Steps of the forward selection; the first contains the laws of every joint.
+        laws: Chosen laws, basic laws and rotor included, which every joint has.
+        steps: Steps of the forward selection; the first has only these laws.
         next_best: Step with the best rejected law; None if no candidate remained.
     """
 
@@ -261,8 +267,8 @@ def offered(laws: Sequence[JointLaw], signals: Collection[str]) -> tuple[JointLa
     """Laws that are candidates for the choice of a joint's terms.
 
     Args:
-        laws: Laws of the settings; of these only a rotor's inertia is used.
-        signals: Signals of the recording; temperature laws require the temperature.
+        laws: Laws of the settings; of these only a rotor's inertia is a candidate.
+        signals: Names of the recording's signals; temperature laws require "temperature".
     """
     rotor = tuple(law for law in laws if law == ROTOR)
     temperature_laws = tuple(law for law in DRIFT_LAWS if law.by in signals)
@@ -274,7 +280,7 @@ def chosen_terms(
 ) -> dict[int, JointTermChoice]:
     """Choose the terms of each joint by cross-validation, by joint index.
 
-    Terms of load or temperature are dropped unless their coefficient is significant.
+    Terms of load or temperature are dropped below `Z_THRESHOLD` standard deviations.
 
     Args:
         tree: The robot.
@@ -304,11 +310,11 @@ def chosen_terms(
 def term_selection_matrices(
     torques: TorqueRegressionData, choices: Mapping[int, JointTermChoice]
 ) -> dict[int, Array]:
-    """Selection matrix of each joint's chosen terms among the requested terms, (asked, q).
+    """Selection matrix of each joint's q chosen terms among all requested terms, (asked, q).
 
     Args:
         torques: Regression data with the columns of all candidate laws.
-        choices: Chosen laws by joint index.
+        choices: Chosen laws by joint index, the key of the result.
     """
     return {
         joint: torques.terms(joint, choice.laws) for joint, choice in choices.items()
@@ -316,7 +322,7 @@ def term_selection_matrices(
 
 
 def _fold_products(torques: TorqueRegressionData) -> CrossProducts:
-    """Products of all joints' columns and torques by fold, for cross-validation."""
+    """Products of all joints' columns and torques in `FOLDS` folds of consecutive rows."""
     rows = torques.passes.rows(torques.combined)
     blocks_by_fold = np.array_split(
         range(0, torques.passes.plan.rows, BLOCK_ROWS), FOLDS
@@ -414,6 +420,8 @@ class DriveEstimate:
 
     def friction(self, speed: Array, load: Array) -> Array:
         """Friction torque at constant speeds and 25 degC, offset included, (M,) [N m or N].
+
+        Drift and temperature terms count as zero.
 
         Args:
             speed: Joint velocities, (M,) [rad/s or m/s].

@@ -34,7 +34,8 @@ FORMULA_PREFIXES = ("=", "+", "-", "@", "\t", "\r", "\n")
 def friction_table(findings: DriveIdentification) -> str:
     """CSV table of the friction curves and of the fitted friction laws.
 
-    For a controller's feed-forward: SI units, joint side, true torque.
+    A row for each node of each joint's curve, with columns `TABLE_COLUMNS`: SI units, joint side,
+    true torque. "law" is the friction of the joint's terms at zero load.
 
     Args:
         findings: Friction curves and terms of all joints.
@@ -58,7 +59,7 @@ def friction_table(findings: DriveIdentification) -> str:
 
 
 def bam_parameters(drive: DriveEstimate) -> dict[str, object]:
-    """Joint friction as parameters of BAM's simplest sufficient model: M1, M2, M5, M6.
+    """Joint friction as parameters, by key, of BAM's simplest sufficient model: M1, M2, M5, M6.
 
     M6's quadratic load friction decays with speed as Stribeck friction does, so it is used only
     without Stribeck friction; of a backdriven gear it depends on the motor's torque. Terms without

@@ -79,7 +79,10 @@ class Disagreement(Diagnosed):
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostic with the three parameters that change most; () for consistent signals."""
+        """Diagnostic with the three parameters that change most in sigmas.
+
+        Empty for consistent signals: a p-value of at least `MIN_P_VALUE`.
+        """
         if self.p_value >= MIN_P_VALUE:
             return ()
         worst = np.argsort(-np.abs(self.z))[:3]
@@ -116,7 +119,8 @@ def combined(
     """Estimate base parameters from the plate's estimate and joint torques together.
 
     Nonlinear least squares, since the unknown torque constant multiplies the unknown parameters;
-    starts at the plate's estimate.
+    starts at the plate's estimate. Parameters that the plate leaves undetermined have a wide prior,
+    and are unidentifiable unless torques reduce its standard deviation `PRIOR_SIGMA_RATIO`-fold.
 
     Args:
         torques: Regression data of the recording's joint torques.
@@ -170,13 +174,17 @@ def _joint_fit(
     """Least-squares solution for plate parameters and every joint's values, and covariance.
 
     Parameters are plate + root @ coordinates, with coordinates of unit covariance by the plate's
-    estimate. Returns (m,) and (m, m).
+    estimate.
 
     Args:
         torques: Regression data of the recording's joint torques.
-        plate: Base parameters by the plate, (N_r,).
+        plate: The N_r base parameters by the plate, (N_r,).
         root: Square root of the covariance of the base parameters, (N_r, r).
         regressions: Regression of each joint, for initial values and noise.
+
+    Returns:
+        Solution, (m,): r coordinates, then torque constant and term coefficients joint by joint;
+            and covariance, (m, m).
     """
     ends = np.cumsum(
         [root.shape[1], *(len(values.values) for values in regressions[:-1])]
@@ -211,7 +219,7 @@ def _joint_fit(
 
 
 def _covariance_root(covariance: Array) -> Array:
-    """Root R with R R' the covariance, (p, r), without exactly known combinations."""
+    """Root R with R R' the covariance, (p, r); r eigenvalues above `EXACT_VARIANCE_SHARE`."""
     unit, scale = unit_diagonal(covariance)
     variances, axes = eigh(unit)
     is_uncertain = variances > EXACT_VARIANCE_SHARE
@@ -223,8 +231,8 @@ def _joint_rows(
 ) -> tuple[Array, Array, Array]:
     """Compressed regression rows of one joint, in units of noise: R, y and term columns.
 
-    R, (r, p), and y, (r,), have the same normal equations as all rows; the columns of the terms are
-    (p, q).
+    R, (r, p), and y, (r,), have the same normal equations as all rows, by the p unknowns of the
+    torques; the matrix from the joint's q coefficients to these unknowns is (p, q).
 
     Args:
         torques: Regression data of the recording's joint torques.
@@ -245,7 +253,9 @@ def _disagreement(
 ) -> Disagreement:
     """Test of the change of the plate's estimate by added joint torques.
 
-    The covariance of the change is the difference of both covariances.
+    The covariance of the change is the difference of both covariances. Only parameters and
+    directions are tested whose variance falls by more than `MIN_VARIANCE_REDUCTION`. P-value:
+    smaller one of the chi-square test of all and the largest z (Bonferroni).
 
     Args:
         bodies: Estimate by the plate.
@@ -296,21 +306,22 @@ class DriveIdentification(Diagnosed):
 
     @property
     def gears(self) -> dict[str, float]:
-        """True over reported torque of each joint."""
+        """True over reported torque by joint name: the inverse of the torque constant."""
         return {estimate.joint: 1 / estimate.constant for estimate in self.estimates}
 
     __get_pydantic_core_schema__ = schema_with_properties("diagnostics")
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostics of disagreement between plate and joint torques."""
+        """Diagnostics of disagreement between plate and joint torques (`Disagreement`)."""
         return self.combined.disagreement.diagnostics
 
 
 def with_identified_drives(tree: Tree, findings: DriveIdentification) -> Tree:
     """Robot with the identified friction and rotor inertias of its joints.
 
-    Terms without a parameter in the robot's model are omitted; negative coefficients become zero.
+    Only laws with a parameter in the model are used, as Coulomb and viscous friction and rotor
+    inertia; negative coefficients become zero.
 
     Args:
         tree: The robot.

@@ -47,7 +47,8 @@ class JointAttenuation(NamedTuple):
     """Correction of a regression on predicted torques for attenuation by prediction errors.
 
     Attributes:
-        slope: Derivative of the corrected values by the uncorrected values, (1 + q, 1 + q).
+        slope: Derivative of the corrected values with respect to the uncorrected values, constant
+            first, then q terms, (1 + q, 1 + q).
         covariance: Covariance of the corrected values, first-order effect of the bodies' errors
             excluded, (1 + q, 1 + q).
         reliability: Fraction of the torque constant that remains after attenuation.
@@ -69,8 +70,8 @@ def correct_attenuation(
     Args:
         fit: Fit on the columns with errors.
         square: Normal matrix of the columns, (1 + q, 1 + q).
-        spread: Normal matrix of the parts of the first column times their covariance, whose trace
-            is the expected increase of the column's sum of squares.
+        spread: Normal matrix of the plate's parameters times their covariance; its trace is the
+            expected increase of the first column's sum of squares.
     """
     count = len(fit.values)
     # part of the sum of squares that is independent of the terms
@@ -141,6 +142,8 @@ class JointRegression:
 @dataclass(frozen=True, eq=False)
 class TorqueRegressionData:
     """Regression data of a recording's joint torques, with torques predicted from the plate.
+
+    p unknowns of the torques, N_r base parameters of the plate, `asked` requested terms.
 
     Attributes:
         drives: Unknowns of the joint torques.
@@ -349,9 +352,9 @@ def _corrected_regression(
 def _prediction_matrix(
     tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings
 ) -> Array:
-    """Matrix from the plate's base parameters to the unknowns of joint torques, (p, N_r).
+    """Matrix from the plate's N_r base parameters to the p unknowns of joint torques, (p, N_r).
 
-    Rows of separate joint terms are zero.
+    Rows of joint terms are zero. Raises SettingsError if the estimate is of other parameters.
     """
     if bodies.minimal.of_sensor:
         if not {*bodies.joints} <= {*tree.names} or bodies.minimal.subtracted_sensors:
@@ -430,7 +433,7 @@ def _fits(
 def _row_blocks(
     torques: TorqueRegressionData, column_matrices: Mapping[int, Array]
 ) -> Iterator[tuple[int, Array]]:
-    """Blocks of rows by joint index: columns, torque, indicator of counted rows, (1, k, q).
+    """Yield joint index and k rows: columns, torque, indicator of counted rows, (1, k, ...).
 
     Args:
         torques: Regression data of the joint torques.
@@ -447,9 +450,9 @@ def _row_blocks(
 
 
 def _scaled_fit(products: LaggedProducts) -> tuple[NoiseFit, LaggedProducts, float]:
-    """Fit and products of rows in units of the rms residual, and that residual.
+    """Fit under coloured noise, products of rows over the rms residual, and that residual.
 
-    The rms residual is the residual of ordinary least squares.
+    The rms residual is that of ordinary least squares.
 
     Args:
         products: Products of columns, torque and indicator of the unscaled rows.

@@ -42,10 +42,14 @@ MIN_P_VALUE = 1e-6
 class PayloadEstimate(Diagnosed, Gaussian):
     """Estimate of a payload's ten inertial parameters in the frame of the carrying link.
 
+    Order m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz (`STANDARD_NAMES`): mass, first moments, and
+    inertia about the frame's origin. A tool's frame is the force sensor's.
+
     Attributes:
         joint: Name of the joint that moves the link.
         rank: Number of identifiable combinations of the ten parameters.
-        p_value: P-value of the residual that no payload explains, by the chi-square test.
+        p_value: P-value of the chi-square test of the fit's residual: small if no payload explains
+            the measured difference within its noise.
         diagnostics: Warnings about the estimate.
     """
 
@@ -88,11 +92,11 @@ def _centre(
 
 
 def payload_influence(tree: Tree, minimal: MinimalSet, joint: str) -> Array:
-    """Influence of a payload's ten standard parameters on the base parameters, (p, 10).
+    """Matrix from a payload's ten standard parameters to p base parameters, (p, 10).
 
     Args:
         tree: The robot.
-        minimal: Set of base parameters.
+        minimal: Set of the p base parameters.
         joint: Name of the joint that moves the carrying link.
 
     Raises:
@@ -110,6 +114,8 @@ def payload(
 ) -> PayloadEstimate:
     """Estimate a payload from the difference of two estimates of base parameters.
 
+    Estimates by joint torques give the diagnostic "payload.scale".
+
     Args:
         tree: The robot; only its geometry is used.
         without: Estimate of the robot alone, by plate or joint torques. A scale error of the
@@ -118,7 +124,7 @@ def payload(
         joint: Name of the joint that moves the carrying link; default the last.
 
     Raises:
-        SettingsError: The estimates are not of the same parameters, or have known zeros.
+        SettingsError: The estimates differ in signal, parameters or gravity, or have known zeros.
         UnknownName: The robot has no such joint.
     """
     joint = tree.names[-1] if joint is None else joint
@@ -163,8 +169,9 @@ def payload_from_influence(
 
     Args:
         joint: Name of the joint that moves the carrying link.
-        influence: Influence of the ten parameters on the measured combinations, (p, 10).
-        difference: Measured combinations, (p,).
+        influence: Matrix from the parameters to the measured combinations, (p, 10), or (4, 10) for
+            a measured mass and first moments.
+        difference: Measured combinations: loaded minus unloaded base parameters, (p,).
         noise: Covariance of the measured combinations, (p, p).
         subject: Subject of the diagnostics: "payload" for two recordings, or "tool" for one.
     """
@@ -206,7 +213,15 @@ def payload_from_influence(
 def _diagnostics(
     joint: str, chance: float, mass: float, sigma: float, what: str
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of an unexplained difference and of a significantly negative mass."""
+    """Diagnostics of an unexplained difference and of a significantly negative mass.
+
+    Args:
+        joint: Name of the joint that moves the carrying link.
+        chance: P-value of the residual; a diagnostic below `MIN_P_VALUE`.
+        mass: Estimated mass; a diagnostic below minus 5 standard deviations [kg].
+        sigma: Standard deviation of the mass [kg].
+        what: Prefix of the code: "payload" or "tool".
+    """
     if chance < MIN_P_VALUE:
         yield make_diagnostic("payload.unexplained", joint, chance)
     if mass < -5 * sigma:

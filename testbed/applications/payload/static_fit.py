@@ -67,10 +67,13 @@ class StaticFit:
     """Least-squares fit of a tool's weight and centre of mass to static poses.
 
     Attributes:
-        unknowns: Zero of force, weight, zero of moment, centre of mass, (12,).
+        unknowns: Zero offset of force, weight along base axes, zero offset of moment, centre of
+            mass along sensor axes, (12,) [N, N, N m, m].
         covariance: Covariance of the unknowns, (12, 12).
-        null_space_share: Share of each unknown in the null space of the readings, (12,).
-        rms_residual: Rms residual of forces [N] and of moments [N m], (2,).
+        null_space_share: Share of each unknown in the null space of the Jacobian of the readings,
+            (12,): 0 identifiable, 1 without influence on the readings.
+        rms_residual: Rms residual of forces [N] and of moments [N m], (2,), reduced by the
+            unknowns' degrees of freedom; pooled for few poses.
     """
 
     unknowns: Array
@@ -80,7 +83,11 @@ class StaticFit:
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
-        """Names of the unknowns that the poses do not identify."""
+        """Names of the unknowns that the poses do not identify (`UNKNOWN_NAMES`).
+
+        Unidentifiable: the null-space share of one of the three components exceeds
+        `MAX_UNIDENTIFIED_SHARE`.
+        """
         shares = zip(UNKNOWN_NAMES, self.null_space_share.reshape(4, 3), strict=True)
         return tuple(
             name for name, share in shares if share.max() > MAX_UNIDENTIFIED_SHARE
@@ -111,10 +118,10 @@ class StaticFit:
 
     @property
     def relative_residual(self) -> float:
-        """Rms residual over the tool's weight.
+        """Rms residual over the tool's weight, the larger one of forces and moments.
 
-        Larger value of the forces' and the moments' residual, moments divided by the lever of the
-        centre of mass.
+        Moments are divided by the distance of the centre of mass from the sensor, at least
+        `MIN_LEVER`.
         """
         lever = max(self.arm, MIN_LEVER)
         return float(
@@ -123,7 +130,7 @@ class StaticFit:
         )
 
     def tilt(self, gravity: Array) -> tuple[float, float]:
-        """Angle between weight and gravity, and its standard deviation [rad].
+        """Angle between estimated weight and the model's gravity, and standard deviation [rad].
 
         Args:
             gravity: Gravity of the model, (3,) [m/s^2].
@@ -144,13 +151,13 @@ class StaticFit:
 
 
 def fit_tool(tree: Tree, poses: StaticPoses, error_code: str = "") -> StaticFit:
-    """Fit a tool's weight to static poses, optionally with a hypothetical error corrected.
+    """Fit a tool's weight to static poses, optionally with an assumed data error undone.
 
     Args:
         tree: The robot from its base to the sensor.
         poses: Joint positions and readings.
-        error_code: "degrees" for angles in degrees; a key of `BASE_AXIS_SIGNS` for wrenches along
-            base axes; "" for data as stated.
+        error_code: Assumed error: "degrees" for joint angles in degrees instead of radians; a key
+            of `BASE_AXIS_SIGNS` for wrenches along base instead of sensor axes; "" for none.
     """
     position = np.deg2rad(poses.position) if error_code == "degrees" else poses.position
     rotations = sensor_poses(tree, position).inverse.R_AB
@@ -164,6 +171,10 @@ def fit_tool(tree: Tree, poses: StaticPoses, error_code: str = "") -> StaticFit:
 
 def fit_static_poses(rotations: Array, wrench: Array) -> StaticFit:
     """Fit zero offsets, weight and centre of mass by iteratively weighted Gauss-Newton.
+
+    Forces and moments are weighted by their residuals of the previous step; steps are minimum-norm
+    where the poses do not identify the unknowns. The covariance is inflated by Student's t for few
+    readings.
 
     Args:
         rotations: Rotations from base axes to sensor axes, (P, 3, 3).
@@ -196,7 +207,7 @@ def fit_static_poses(rotations: Array, wrench: Array) -> StaticFit:
 def _linearised(
     rotations: Array, wrench: Array, unknowns: Array
 ) -> tuple[Array, Array]:
-    """Jacobian of all readings in the unknowns, (6 P, 12), and residuals, (6 P,).
+    """Jacobian of all readings with respect to the unknowns, (6 P, 12), and residuals, (6 P,).
 
     Args:
         rotations: Rotations from base axes to sensor axes, (P, 3, 3).
@@ -221,9 +232,9 @@ def _linearised(
 def _noise_scales(residuals: Array) -> Array:
     """Standard deviations of force and of moment noise from the residuals, (2,).
 
-    Each signal accounts for half of the unknowns. With fewer than `MIN_REDUNDANT_ROWS` rows beyond
-    the unknowns, the two estimates are pooled by `MOMENT_NOISE_RATIO`; otherwise the signal that
-    happens to fit better would gain ever more weight.
+    Forces and moments account for half of the unknowns each. With fewer than `MIN_REDUNDANT_ROWS`
+    rows beyond these, both variances are drawn towards their mean, moments being divided by
+    `MOMENT_NOISE_RATIO`; else the signal that happens to fit better would gain ever more weight.
 
     Args:
         residuals: Residuals of all readings, (6 P,).

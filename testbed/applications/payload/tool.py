@@ -23,10 +23,10 @@ from testbed.core.robot.tree import SensorPlacement, Tree
 
 
 def tool_from_motion(tree: Tree, estimate: Estimate) -> PayloadEstimate:
-    """Inertial parameters of the tool beyond a force sensor, in the sensor's frame.
+    """Ten inertial parameters of the tool beyond a force sensor, in the sensor's frame.
 
     Args:
-        tree: The robot beyond the force sensor.
+        tree: The robot beyond the force sensor: one body.
         estimate: Estimate by the force sensor, without known zeros.
 
     Raises:
@@ -44,7 +44,11 @@ def tool_from_motion(tree: Tree, estimate: Estimate) -> PayloadEstimate:
 
 
 def _sensor_of_tool(tree: Tree) -> SensorPlacement:
-    """Pose of the force sensor; raise SettingsError if joints lie beyond the sensor."""
+    """Pose of the force sensor in its link's frame.
+
+    Raises:
+        SettingsError: The robot has no force sensor on a link, or joints lie beyond the sensor.
+    """
     if tree.sensor is None or tree.sensor_body < 0:
         raise SettingsError(
             "a tool is what a force sensor in the robot carries: --sensor LINK"
@@ -72,7 +76,7 @@ class ToolEstimate(Diagnosed):
         pose_count: Number of poses.
         unidentifiable: Names of unknowns that the poses do not identify; their values are
             minimum-norm.
-        relative_residual: Rms residual over the tool's weight, of moments by the centre's lever.
+        relative_residual: Rms residual over the tool's weight (`StaticFit.relative_residual`).
         payload: Mass and first moments in the sensor's frame; None if some unknown is not
             identifiable.
         diagnostics: Warnings about the poses and the fit.
@@ -102,10 +106,13 @@ def tool_from_static_poses(
 ) -> ToolEstimate:
     """Estimate mass, centre of mass, sensor zeros and direction of gravity from static poses.
 
+    Diagnostics are those of the poses and of `diagnose_tool`.
+
     Args:
         tree: The robot from its base to the sensor, with gravity of known size.
         poses: Positions of the joints between base and sensor, and sensor readings.
-        sensor: Force sensor in its link's frame; default with the axes in the tree.
+        sensor: Force sensor in its link's frame, whose z axis is the tool's direction for a sensor
+            within `MIN_SENSOR_OFFSET` of the last joint; default the tree's.
 
     Raises:
         SettingsError: The robot has no force sensor, joints lie beyond the sensor, or gravity is
@@ -151,7 +158,7 @@ def tool_from_static_poses(
 
 
 def _moments(fit: StaticFit, gravity: float) -> tuple[Array, Array]:
-    """Mass and first moments about the sensor, (4,) [kg, kg m], and covariance, (4, 4).
+    """Mass and first moments about the sensor's origin, (4,) [kg, kg m], and covariance, (4, 4).
 
     Args:
         fit: Fit to the static poses.

@@ -61,6 +61,11 @@ def diagnose_tool(
 ) -> Iterator[Diagnostic]:
     """Diagnose a tool identified in static poses: residuals, axes, signs, units, gravity.
 
+    A residual above `MAX_RESIDUAL_SHARE` is attributed to angles in degrees or wrenches along base
+    axes if the fit with that error undone has a residual below; else it gives "tool.residual", an
+    error above `ERROR_RESIDUAL_SHARE`. Unidentifiable unknowns give "tool.poses". Plausibility is
+    checked if the residual of forces is small.
+
     Args:
         tree: The robot from its base to the sensor.
         poses: Joint positions and readings.
@@ -104,7 +109,15 @@ def diagnose_tool(
 
 
 def _is_behind_sensor(fit: StaticFit, ahead: Array) -> bool:
-    """Test whether the centre of mass is significantly on the robot's side of the sensor."""
+    """Test whether the centre of mass is significantly on the robot's side of the sensor.
+
+    Its distance exceeds `Z_THRESHOLD` standard deviations, and its angle to the tool's direction
+    120 degrees.
+
+    Args:
+        fit: Fit to static poses.
+        ahead: Direction from the robot to the tool along the sensor axes, (3,).
+    """
     if fit.arm <= Z_THRESHOLD * _centre_sigma(fit):
         return False
     return bool(
@@ -121,6 +134,10 @@ def _plausibility_diagnostics(
     fit: StaticFit, gravity: Array, ahead: Array
 ) -> Iterator[Diagnostic]:
     """Diagnostics of implausible directions of gravity and positions of the centre of mass.
+
+    Gravity tilted against the model: "tool.upwards" beyond 165 degrees, "tool.wall" within 5 of 90,
+    "tool.level" for any other tilt beyond 3 degrees and 5 sigma. Centre of mass: "tool.behind" on
+    the robot's side, "tool.reach" if too distant for the mass. Candidate causes, likeliest first.
 
     Args:
         fit: Fit to the data as stated.
@@ -173,7 +190,9 @@ def _plausibility_diagnostics(
 def _unit_systems(fit: StaticFit, mass: float) -> list[str]:
     """Codes of unit systems with plausible sensor noise and centre of mass, likeliest first.
 
-    Empty if N and N m are the likeliest.
+    Criterion: deviation (sum of absolute logarithms) of the ratio of moment to force residual and
+    of the centre's distance from `TYPICAL_LENGTHS`, at most 1 above the smallest; the density of
+    the tool must exceed `MIN_TOOL_DENSITY`. Empty if N and N m are the likeliest.
 
     Args:
         fit: Fit to the data as stated.
@@ -194,5 +213,5 @@ def _unit_systems(fit: StaticFit, mass: float) -> list[str]:
 
 
 def _comma_separated(values: Array) -> str:
-    """Numbers as comma-separated text with four decimals."""
+    """Numbers as comma-separated text, rounded to four decimals."""
     return ",".join(f"{round(float(x), 4) + 0.0:g}" for x in values)

@@ -53,7 +53,7 @@ MASS_NAME = "payload/mass"
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class TorqueScales(Gaussian):
-    """Reported over true torque of each joint: divisors for torques or gains.
+    """Reported over true torque of each joint, by which reported torques are divided.
 
     Attributes:
         known: Value and standard deviation of the payload's known parameters, by name.
@@ -63,7 +63,9 @@ class TorqueScales(Gaussian):
 
 
 class _LinearRecording(NamedTuple):
-    """Normal equations of a recording, with unknowns affine in common unknowns: lead @ v + fixed.
+    """Normal equations of a recording whose unknowns are lead @ v + fixed.
+
+    The m common unknowns v are those of both recordings together (`_linear_recording`).
 
     Attributes:
         passes: Passes over the recording's regressor rows.
@@ -110,6 +112,9 @@ def torque_scales(
 ) -> TorqueScales:
     """Estimate scales of joint torques from recordings without and with a known payload.
 
+    Joint terms that are chosen from the data are chosen on the unloaded recording. The standard
+    deviation of the mass is a common relative error of all scales.
+
     Args:
         tree: The robot without the payload; its inertias are not used.
         unloaded: Recording without the payload, as for `identify`; with torques.
@@ -117,14 +122,15 @@ def torque_scales(
         known: "payload/mass": value, or value and standard deviation [kg].
         joint: Name of the joint that moves the carrying link; default the last.
         gravity: Gravity, (3,) [m/s^2], bedplate frame; default as for `identify`.
-        settings: Signal processing, and joint terms, which are estimated for each recording
-            separately.
+        settings: Signal processing, and joint terms, whose coefficients are estimated for each
+            recording separately; nuisances and known values are ignored.
         threads: Number of threads; default one per processor.
         progress: Called with the numbers of processed samples and of all samples.
 
     Raises:
         RecordingError: A recording cannot be used.
-        SettingsError: The mass is not known, or does not determine the scale.
+        SettingsError: The mass is not known, or does not determine the scale; or the settings have
+            zeros.
         UnknownName: Another quantity than the mass is given, or the robot has no such joint.
     """
     known_values = values_with_sigmas(known)
@@ -184,6 +190,10 @@ def _linear_recording(
         joint: Name of the joint that moves the carrying link.
         mass: Known mass of the payload [kg].
         number: 0 for the recording without the payload, 1 with it.
+
+    Raises:
+        SettingsError: The effect of the mass on the torques is collinear with that of the payload's
+            other parameters.
     """
     minimal = problem.minimal
     influence = payload_influence(problem.tree, minimal, joint)
@@ -218,7 +228,10 @@ def _linear_recording(
 
 
 def _gauss_newton(recordings: Sequence[_LinearRecording]) -> tuple[Array, Array]:
-    """Torque scales and common unknowns v by Gauss-Newton."""
+    """Torque scales, (n,), and common unknowns v, (m,), by `ITERATIONS` steps of Gauss-Newton.
+
+    The first step solves for v alone, with scales of one.
+    """
     n, m = len(recordings[0].equations.channels), recordings[0].lead.shape[1]
     unknowns = np.append(np.ones(n), np.zeros(m))
     for step in range(ITERATIONS):
@@ -233,9 +246,10 @@ def _gauss_newton(recordings: Sequence[_LinearRecording]) -> tuple[Array, Array]
 def _normal_equations(
     recordings: Sequence[_LinearRecording], scales: Array, v: Array
 ) -> tuple[Array, Array]:
-    """Normal matrix J' W J and vector J' W r of the linearised problem.
+    """Normal matrix J' W J, (n + m, n + m), and vector J' W r of the linearised problem.
 
-    W weights each channel by its inverse mean square residual.
+    J is the Jacobian with respect to scales and v, r the residual; W weights each channel by its
+    inverse mean square residual.
 
     Args:
         recordings: Both recordings.
@@ -263,8 +277,8 @@ def _covariance(
 ) -> Array:
     """Covariance of the torque scales, (n, n), under coloured noise.
 
-    Generalised least squares on the linearised rows of both recordings; scaled by simulated
-    replicas of the noise.
+    Generalised least squares on the linearised rows of both recordings, with autoregressive noise;
+    enlarged by the factor that simulated replicas of the noise give (parametric bootstrap).
 
     Args:
         recordings: Both recordings.
@@ -290,9 +304,10 @@ def _covariance(
 def _weighted_jacobian(
     recording: _LinearRecording, scales: Array, v: Array
 ) -> Iterator[Array]:
-    """Jacobian in scales and v, residuals in units of noise, and indicators of counted rows.
+    """Yield Jacobian and residuals in units of noise, and indicators of counted rows.
 
-    Blocks of shape (C, k, n + m + 2).
+    Blocks of k rows, (C, k, n + m + 2): columns of the n scales, of the m unknowns v, residual,
+    indicator; for each of the C channels.
 
     Args:
         recording: One of the two recordings.

@@ -48,7 +48,8 @@ class FlangePayload:
 
     Attributes:
         frame: Name of the flange's link.
-        inertia: Inertia of the payload.
+        inertia: Mass, centre of mass and inertia about the centre of mass, in the flange's frame;
+            the inertia is arbitrary if not identifiable.
         sigma: Standard deviations of mass, centre, and inertia about the centre of mass in the
             order `INERTIA_INDICES`, (10,) [kg, m, kg m^2]; of mass and centre alone, (4,), if the
             inertia is not identifiable.
@@ -70,7 +71,7 @@ class FlangePayload:
         ]
 
     def comment(self, mark: str) -> list[str]:
-        """Comment lines with the frame and the standard deviations.
+        """Comment lines with the frame and the standard deviations, for a controller's program.
 
         Args:
             mark: Prefix of a comment line.
@@ -95,15 +96,17 @@ def flange_payload(
 ) -> FlangePayload:
     """Transform the estimate of a payload or tool to a flange's frame.
 
+    Only mass and centre of mass are transformed if no component of the inertia is identifiable.
+
     Args:
         estimate: Estimate in the frame of the link that its joint moves; for a tool in the sensor's
             frame.
         tree: The robot; for a tool the part beyond the force sensor.
-        link: Flange, fixed to that link; None for the frame of the estimate.
+        link: Flange, fixed to the link that the joint moves; None for the frame of the estimate.
 
     Raises:
-        SettingsError: Some parameter is not identifiable, the body is not physical, or the flange
-            is on another link.
+        SettingsError: Mass, centre or a part of the inertia is not identifiable, the body is not
+            physical, or the flange is on another link.
     """
     count = 10 if any(estimate.identifiable[4:]) else 4
     identifiable = np.array(estimate.identifiable)
@@ -179,7 +182,10 @@ def _check_inertia(estimate: PayloadEstimate, inertia: Inertia, *, whole: bool) 
 
 
 def universal_robots(load: FlangePayload) -> str:
-    """URScript call of `set_target_payload`, after comment lines."""
+    """URScript call of `set_target_payload`, after comment lines.
+
+    Arguments: mass [kg], centre [m], inertia about the centre of mass [kg m^2], if identifiable.
+    """
     arguments = [
         load.inertia.mass,
         load.inertia.com.tolist(),
@@ -191,7 +197,10 @@ def universal_robots(load: FlangePayload) -> str:
 
 
 def franka(load: FlangePayload) -> str:
-    """JSON object with the arguments of `setLoad`, with keys of Franka's Desk."""
+    """JSON object with the arguments of `setLoad`: "mass", "centerOfMass", "comment", "inertia".
+
+    The inertia about the centre of mass is column-major, and absent if not identifiable.
+    """
     inertia = load.inertia
     fields = {
         "mass": inertia.mass,
@@ -204,7 +213,11 @@ def franka(load: FlangePayload) -> str:
 
 
 def kuka(load: FlangePayload) -> str:
-    """KRL assignment of LOAD_DATA of tool 1, with principal moments."""
+    """KRL assignment of LOAD_DATA of tool 1, after comment lines.
+
+    M mass [kg]; CM centre [mm] and orientation A, B, C of the principal axes [degrees]; J principal
+    moments [kg m^2], ascending. If the inertia is not identifiable, J is absent.
+    """
     moments, axes = np.linalg.eigh(
         load.inertia.central if load.inertia_components else np.eye(3)
     )
@@ -217,7 +230,7 @@ def kuka(load: FlangePayload) -> str:
 
 
 def _krl_fields(names: str, values: Sequence[float] | Array) -> str:
-    """Names and values as fields of a KRL structure."""
+    """Names and values as fields of a KRL structure: "X 1.0,Y 2.0"."""
     return ",".join(
         f"{name} {float(x)!r}" for name, x in zip(names, values, strict=True)
     )

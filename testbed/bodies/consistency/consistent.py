@@ -68,8 +68,8 @@ class Reconciliation(Gaussian):
         plain_sigma: Standard deviations of the estimate, (p,), widened by a contradiction with
             another estimate.
         widened: Factor of this widening.
-        distance: Norm of the whitened differences between both, [sigma]; about the root of p where
-            the difference is noise only.
+        distance: Norm of the whitened differences between estimate and consistent bodies [sigma];
+            about the root of p where the difference is noise only.
     """
 
     method: Signal
@@ -100,7 +100,8 @@ class Consistent(Diagnosed):
         joints: Names of the joints, (n,).
         places: Names of the joints, and of shafts that turn with several joints: places of terms.
         links: Names of the bodies, (n,).
-        standard: Standard parameters, (n, 10) [kg, kg m, kg m^2].
+        standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz about and along the body
+            frames, (n, 10) [kg, kg m, kg m^2].
         sigma: Standard deviations by data and prior together, (n, 10).
         data_share: Share of the prior variance that the data remove, (n, 10): 1 for parameters that
             the data identify, 0 for parameters by the prior or known masses.
@@ -148,6 +149,10 @@ def consistent(
     options: ConsistencyOptions | None = None,
 ) -> Consistent:
     """Physically consistent bodies that fit estimates and are near the model file's otherwise.
+
+    They minimise half the squared whitened residuals of the estimates plus 1 / prior_error^2 times
+    a log-determinant divergence of the pseudo-inertias from the file's; friction and rotor inertias
+    are not negative. Sigmas are by the Laplace approximation.
 
     Args:
         tree: Robot; its inertias are not used.
@@ -223,7 +228,11 @@ def consistency_program(
 
 
 def _estimates_with_covariance(estimates: Sequence[Estimate]) -> list[Estimate]:
-    """Estimates with a positive semidefinite covariance; an error without any."""
+    """Estimates with a positive semidefinite covariance.
+
+    Raises:
+        RecordingError: No estimate has such a covariance.
+    """
     used = [each for each in estimates if has_valid_covariance(each)]
     if not used:
         raise RecordingError(
@@ -259,9 +268,9 @@ def laplace_covariance(
     The Laplace approximation at z, within the exact constraints.
 
     Args:
-        program: Program of consistent bodies.
-        z: Unknowns, (m,).
-        weight: Weight of the prior.
+        program: Program of consistent bodies; x are standard parameters, then joint terms.
+        z: Unknowns of the program, (m,).
+        weight: Weight of the prior, 1 / prior_error^2.
     """
     other_rows = program.rows[program.data_row_count :]
     prior_hessian = weight * program.prior_hessian(z) + other_rows.T @ other_rows
@@ -345,7 +354,9 @@ def _scaled_eigenvalues(body: Array) -> Array:
 def _active_constraints(
     tree: Tree, program: NonlinearProgram, terms: Sequence[JointTerm], z: Array
 ) -> Iterator[str]:
-    """Texts of nearly singular bodies and of joint terms at zero.
+    """Yield texts of nearly singular bodies and of joint terms at zero.
+
+    Nearly singular: Y, the pseudo-inertia relative to the file's, has an eigenvalue below 0.01.
 
     Args:
         tree: Robot.
@@ -371,6 +382,10 @@ def _diagnostics(
     decrement: float,
 ) -> Iterator[Diagnostic]:
     """Diagnostics of the prior, the estimates and the solution.
+
+    Estimates without a valid covariance; rotor inertias of the file that torques attribute to the
+    bodies; a Newton decrement over 0.1; sigmas widened by over 3; distance, negative terms, and
+    terms without a field in model files.
 
     Args:
         prior: Prior bodies.
@@ -417,8 +432,8 @@ def _distance_diagnostics(
 ) -> Iterator[Diagnostic]:
     """Diagnostic of an estimate that is significantly far from the consistent bodies.
 
-    The distance is compared with a quantile of the chi distribution. Another code is used where no
-    rigid bodies at all are near the estimate.
+    The distance is above the chi distribution's 0.9973 quantile (3 sigma, two-sided). The code is
+    "bodies.impossible" where no rigid bodies at all are near the estimate, else "bodies.far".
 
     Args:
         estimate: Estimate.
@@ -452,7 +467,7 @@ def _distance_diagnostics(
 
 
 def _negative_term_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Diagnostics of friction coefficients and rotor inertias significantly below zero."""
+    """Diagnostics of friction coefficients and rotor inertias more than 3 sigma below zero."""
     for term in estimate.joint_terms:
         is_nonnegative = term.law.dissipative or term.law == ROTOR
         if is_nonnegative and term.value < -Z_THRESHOLD * term.sigma:

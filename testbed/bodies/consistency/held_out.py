@@ -29,7 +29,9 @@ from testbed.core.parameters.rules import Signal
 def with_estimated_prior_error(
     options: ConsistencyOptions, posteriors: Iterable[Posterior]
 ) -> ConsistencyOptions:
-    """Options with the smallest model-file error that the posteriors estimate.
+    """Options with the smallest model-file error of the posteriors that need their prior.
+
+    Unchanged without such posteriors.
 
     Args:
         options: Options of consistent bodies.
@@ -49,7 +51,8 @@ def with_consistent_predictions(
 ) -> dict[Signal, Posterior]:
     """Add the values and held-out prediction errors of consistent bodies to posteriors.
 
-    For held-out parts, consistent bodies are computed from the data of one method only.
+    For held-out parts, consistent bodies are computed from the data of one method only; where that
+    fails, the values of the model file are used.
 
     Args:
         posteriors: Posteriors by method.

@@ -24,7 +24,7 @@ class KnownMasses:
         rows: 1 for the bodies of each sum, else 0, (k, n).
         values: Masses of the sums, (k,) [kg].
         sigma: Standard deviations of the masses, (k,) [kg]; 0 for exact masses.
-        prior_factors: Factors on the prior's bodies that give the exact masses, (n,).
+        prior_factors: Factors on the prior's bodies that give the exactly known masses, (n,).
     """
 
     rows: Array
@@ -45,7 +45,7 @@ def known_masses(
 
     Raises:
         UnknownName: A link does not exist.
-        SettingsError: A link without matter has a known mass, or masses contradict the total.
+        SettingsError: A link without matter has a known mass, or exact masses contradict the total.
     """
     links = [joint.body for joint in tree.joints]
     massive = prior.standard[:, 0] > 0
@@ -74,6 +74,8 @@ def _prior_factors(
 ) -> Array:
     """Factors on the prior's bodies that give the exactly known masses, (n,).
 
+    With an exact total, the other bodies share the remaining mass in proportion to the prior.
+
     Args:
         prior: Prior bodies.
         options: Options with the known masses.
@@ -82,7 +84,7 @@ def _prior_factors(
         sigma: Standard deviations of the masses, (k,) [kg].
 
     Raises:
-        SettingsError: The known masses contradict each other.
+        SettingsError: The exact masses contradict the exact total.
     """
     is_total = np.array([name == TOTAL_MASS for name in options.masses], dtype=bool)
     masses = np.array(prior.standard[:, 0])

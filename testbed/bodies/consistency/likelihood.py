@@ -96,6 +96,9 @@ def likelihood_of(
 ) -> Likelihood:
     """Gaussian likelihood of standard parameters and joint terms by an estimate.
 
+    The variances are increased by the square of 1e-7 times a parameter's magnitude, or of ten times
+    the magnitude of unidentifiable parameters.
+
     Args:
         tree: Robot; its inertias are not used.
         estimate: Estimate of either method.
@@ -127,7 +130,8 @@ def with_widened_torques(likelihoods: Sequence[Likelihood]) -> list[Likelihood]:
     """Likelihoods with the sigmas of joint torques widened by their contradiction to the plate.
 
     Errors of torque constants and of the friction law bias the bodies that torques identify, but
-    are not part of their sigmas.
+    are not part of their sigmas. The factor is the rms normalised difference of the parameters that
+    both methods determine, at least one; with one method nothing changes.
 
     Args:
         likelihoods: Likelihoods by one method or by both.
@@ -149,6 +153,9 @@ def with_widened_torques(likelihoods: Sequence[Likelihood]) -> list[Likelihood]:
 
 def _rms_difference(plate: Estimate, torques: Estimate) -> float:
     """Rms normalised difference of parameters that both methods determine; at least one.
+
+    Parameters with a rotor inertia are left out. One if the plate does not determine the parameters
+    of the torques, because of other known zeros or an unknown tare.
 
     Args:
         plate: Estimate by the force plate.
@@ -200,7 +207,8 @@ def _barycentric_rows(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
         estimate: Estimate of either method.
 
     Returns:
-        Coefficients of the estimate's parameters and of the assumed zeros.
+        Coefficients of the estimate's parameters, (p, 10 n + terms), and of the assumed zeros,
+        (k, 10 n + terms); k is 0 without known zeros.
     """
     minimal, drives = estimate.minimal, estimate.drives
     estimate_rows = minimal.matrix if drives is None else drives.matrix

@@ -46,9 +46,11 @@ ZERO_SIGMA = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram:
-    """Nonlinear program in scaled unknowns z, x = lead z, for consistent bodies.
+    """Nonlinear program in scaled unknowns z for consistent bodies.
 
-    Objective: |rows z - right|^2 / 2 + w D(Y) + w |z - 1|^2 / 2, the last sum over the joint terms
+    z contains ten coordinates of Y for each body with matter, J = U Y U' with the pseudo-inertia
+    U U' of the file, then the joint terms relative to their scales; x = x_from_z z. Objective:
+    |rows z - right_hand_side|^2 / 2 + w D(Y) + w |z - 1|^2 / 2, the last sum over the joint terms
     in the model file, with D(Y) = tr Y - log det Y - 4 of every body, under the constraints.
 
     Attributes:
@@ -115,11 +117,11 @@ class NonlinearProgram:
         )
 
     def step(self, z: Array, weight: float, barrier: float) -> tuple[Array, float]:
-        """Newton step within the exact constraints, (m,), and the squared decrement.
+        """Newton step within the exact constraints, (m,), and the squared Newton decrement.
 
         Args:
-            z: Unknowns, (m,).
-            weight: Weight of the prior.
+            z: Unknowns in the interior of the inequality constraints, (m,).
+            weight: Weight w of the prior.
             barrier: Weight of the logarithmic barriers.
         """
         hessian, gradient = self._derivatives(z, weight, barrier)
@@ -162,6 +164,9 @@ class NonlinearProgram:
     def _value(self, z: Array, weight: float, barrier: float) -> float:
         """Objective with barriers; infinite outside of the constraints.
 
+        Outside: a Y that is not positive definite, or a non-negative joint term that is zero or
+        less.
+
         Args:
             z: Unknowns, (m,).
             weight: Weight of the prior.
@@ -187,6 +192,9 @@ class NonlinearProgram:
     ) -> Array | None:
         """Point of a backtracking line search, (m,); None if no step length reduces the objective.
 
+        The step length is halved from 1 to 1e-10 until the objective falls by 0.01 of length times
+        gain.
+
         Args:
             z: Unknowns, (m,).
             step: Newton step, (m,).
@@ -207,11 +215,12 @@ def solve_program(program: NonlinearProgram, weight: float) -> tuple[Array, floa
     """Minimiser of the program, (m,), and Newton decrement there [sigma].
 
     Newton steps are short where bodies are nearly singular, which the data alone would make them at
-    once. The weight of the prior therefore starts large and falls to its final value.
+    once. The weight of the prior therefore starts large and falls to its final value; then the
+    weight of the barriers falls.
 
     Args:
         program: Program of consistent bodies.
-        weight: Weight of the prior.
+        weight: Final weight of the prior, 1 / prior_error^2.
     """
     z, squared_decrement = program.start, np.inf
     for stage_weight, barrier in _stages(program, z, weight):
@@ -237,7 +246,10 @@ def solve_program(program: NonlinearProgram, weight: float) -> tuple[Array, floa
 def _stages(
     program: NonlinearProgram, start: Array, final_weight: float
 ) -> Iterator[tuple[float, float]]:
-    """Weights of the prior and of the barriers, stage by stage.
+    """Yield weights of the prior and of the barriers, stage by stage.
+
+    Both fall together by `WEIGHT_RATIO` (10) from a tenth of the squared Newton decrement at the
+    start to the final weight; then the barrier alone, to `MIN_BARRIER`.
 
     Args:
         program: Program of consistent bodies.
@@ -263,6 +275,9 @@ def nonlinear_program(
     terms: tuple[JointTerm, ...],
 ) -> NonlinearProgram:
     """Nonlinear program of likelihoods, prior and known masses in scaled unknowns.
+
+    Exactly known masses are constraints, uncertain masses and assumed zeros equations. The scale of
+    a joint term is its rotor inertia in the file, else a typical one, else its sigma by the data.
 
     Args:
         tree: Robot.
@@ -321,7 +336,8 @@ def _file_rotor_inertia(tree: Tree, prior: PriorBodies, term: JointTerm) -> floa
 def _typical_rotor_inertia(tree: Tree, prior: PriorBodies, term: JointTerm) -> float:
     """Scale of a rotor inertia that is missing in the file: the body's inertia.
 
-    About the joint axis, or the mass for a prismatic joint [kg m^2 or kg]; 0 for other terms.
+    About the joint axis, or the mass for a prismatic joint [kg m^2 or kg]; 0 for other terms and
+    for bodies without matter.
     """
     if term.law != ROTOR or term.joint not in prior.massive_bodies:
         return 0.0

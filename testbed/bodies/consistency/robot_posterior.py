@@ -43,7 +43,11 @@ class FilePrior(Value):
     options: ConsistencyOptions
 
     def __add__(self, data: Estimate | Information) -> RobotPosterior:
-        """Physically consistent bodies by data and file together."""
+        """Physically consistent bodies by data and file together.
+
+        Raises:
+            SettingsError: `data` is not only estimates of `identify`.
+        """
         return self.__radd__(data)
 
     def __radd__(self, data: Estimate | Information) -> RobotPosterior:
@@ -105,7 +109,7 @@ class RobotPosterior(Summarized):
 
     @property
     def summary(self) -> SummaryTable:
-        """Table of the mass and first moments of every link."""
+        """Table of the mass and first moments of every link, with standard deviations."""
         bodies = self.bodies
         sources = " + ".join(each.instrument for each in self.estimates)
         rows = [
@@ -140,13 +144,14 @@ def write_model(
         path: Path of the copy: URDF or MJCF, as the file of the robot.
         fixed: Share of a body for links that are fixed to others: nothing ("lump"), or in
             proportion to their matter in the file ("share").
-        note: Lines of a comment.
+        note: Lines of a comment at the beginning of the copy's root element.
 
     Returns:
-        Diagnostics of values that the format cannot express.
+        Diagnostics of values that the format cannot express or that readers change.
 
     Raises:
-        ModelError: The file cannot be edited or must not be overwritten.
+        ModelError: The file cannot be edited or must not be overwritten, or `path` has the wrong
+            extension for its format.
     """
     tree = robot if isinstance(robot, Tree) else robot.robot
     return write_tree(model_file_of(tree), tree, Path(path), fixed=fixed, note=note)

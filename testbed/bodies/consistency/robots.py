@@ -65,8 +65,8 @@ class RobotSamples(Summarized):
     Attributes:
         joints: Names of the joints, (n,).
         links: Names of the bodies, (n,).
-        names: Names of the 13 numbers: a body's standard parameters, its joint's friction and
-            rotor.
+        names: Names of the 13 numbers: a body's standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz
+            Izz about and along its frame, its joint's coulomb, viscous and rotor inertia.
         values: Samples, (N, n, 13) [kg, kg m, kg m^2; N m, N m s/rad, kg m^2 or N, N s/m, kg].
         share: Share of the prior variance that the data remove, (n, 13): 1 for numbers by the data,
             0 for numbers by the model file.
@@ -105,7 +105,7 @@ class RobotSamples(Summarized):
         return np.asarray(self.values.std(axis=0))
 
     def tree(self, k: int, tree: Tree) -> Tree:
-        """Tree of one sample.
+        """Tree with the bodies, friction and rotor inertias of one sample.
 
         Args:
             k: Index of the sample.
@@ -134,8 +134,8 @@ def robots(
 ) -> RobotSamples:
     """Sample robots from the posterior of estimates and a model file.
 
-    Joint friction and rotor inertias among an estimate's terms are sampled by the data, others from
-    the model file with the prior's error.
+    Friction and rotor inertias of joints among an estimate's terms are sampled by the data together
+    with the bodies, others log-normally around the model file with the prior's error.
 
     Args:
         tree: Robot; the friction of its joints is that of the file.
@@ -202,6 +202,10 @@ def sample_file_losses(
 def _log_prior(bodies: Array, error: float) -> Array:
     """Log density of the prior of bodies, (N,); minus infinity for impossible bodies.
 
+    Not normalised, with respect to the entries of Y = L L', L upper triangular: the logarithms of
+    L's diagonal and its other entries are Gaussian with mean zero and sigmas of error / 2 and
+    error / sqrt(2).
+
     Args:
         bodies: Y, (N, bodies, 4, 4).
         error: Relative error of the prior bodies.
@@ -229,6 +233,9 @@ def _sample_unknowns(
     rng: np.random.Generator,
 ) -> Array:
     """Samples of the unknowns z by data, prior and constraints, (count, m).
+
+    Elliptical slice sampling from the program's Gaussian, with each non-negative term mapped to a
+    truncated Gaussian; at least `CHAINS_PER_DIMENSION` chains per dimension.
 
     Args:
         program: Program of consistent bodies.

@@ -51,14 +51,20 @@ class Appearance:
 
     @cached_property
     def reach(self) -> float:
-        """Approximate reach of the robot from joint offsets and tips [m]."""
+        """Approximate reach of the robot [m], at least 0.1.
+
+        Sum of joint offsets over the number of base joints, plus the farthest tip point's distance.
+        """
         lengths = sum(float(np.linalg.norm(joint.offset)) for joint in self.tree.joints)
         ends = max(float(np.linalg.norm(point)) for point in self.tip_points.values())
         return max(lengths / max(1, len(self.tree.children(-1))) + ends, 0.1)
 
     @cached_property
     def clear_corner(self) -> Array:
-        """Position on the bedplate's plane beside all shapes of the bedplate, (3,) [m]."""
+        """Position on the bedplate's plane z = 0 beside all shapes of the bedplate, (3,) [m].
+
+        Beyond their largest x and least y, with a clearance of `CLEARANCE_RATIO` of the reach.
+        """
         boxes = [shape_bounds(shape) for shape in self.shapes if shape.body < 0]
         clearance = CLEARANCE_RATIO * self.reach
         right = max((float(high[0]) for _, high in boxes), default=0.0) + clearance
@@ -67,7 +73,7 @@ class Appearance:
 
     @cached_property
     def plate_height(self) -> float:
-        """Height of the upper side of the widest shape on the bedplate [m]."""
+        """Largest z of the bedplate's shape with the largest x-y bounds [m]; 0 without shapes."""
         boxes = [shape_bounds(shape) for shape in self.shapes if shape.body < 0]
         widest = max(
             boxes, key=lambda box: float(np.prod((box[1] - box[0])[:2])), default=None
@@ -95,6 +101,9 @@ def load_shapes(model: ModelSource, tree: Tree) -> VisualShapes:
 def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
     """Load the appearance of a robot from its model file, or make a stick figure.
 
+    A stick figure if there is no file or no shape in it. A plate is added if the bedplate has no
+    wide box.
+
     Args:
         tree: Robot.
         model: Model file of the robot; None for a robot without a file.
@@ -110,7 +119,11 @@ def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
 
 
 def _with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
-    """Shapes with a plate under the robot, unless the bedplate has a wide box already."""
+    """Shapes with a plate under the robot, unless the bedplate has a wide box already.
+
+    The plate is a square box with its upper side at z = 0. A box is wide if it is over half as wide
+    in both directions.
+    """
     span = sum(float(np.linalg.norm(joint.offset)) for joint in tree.joints)
     half = max(0.3 * span / max(1, len(tree.children(-1))), 0.1)
     for shape in shapes:

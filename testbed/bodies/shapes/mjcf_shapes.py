@@ -33,9 +33,16 @@ _VISIBLE_GROUPS = 3
 
 
 def read_shapes(model_file: ModelSource, tree: Tree) -> VisualShapes:
-    """Read the geoms that MuJoCo's viewer shows, planes excepted.
+    """Read the geoms that MuJoCo's viewer shows, except planes and height fields.
 
-    Arguments are those of `load_shapes`.
+    Geom groups 0, 1 and 2. Meshes that cannot be read are left out, with diagnostics.
+
+    Args:
+        model_file: MJCF file, and the options it was read with.
+        tree: Tree read from the file.
+
+    Raises:
+        ModelError: The file cannot be compiled.
     """
     spec, _ = open_spec(model_file)
     extract_explicit_inertias(spec)  # impossible inertias would prevent compilation
@@ -50,7 +57,7 @@ def read_shapes(model_file: ModelSource, tree: Tree) -> VisualShapes:
 
 
 def _visible_shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:
-    """Shapes of the visible geoms, in the frames of the tree's bodies.
+    """Yield shapes of the visible geoms, in the frames of the tree's bodies.
 
     Args:
         model: Compiled MuJoCo model.
@@ -119,7 +126,7 @@ def _mesh_arrays(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
 
 
 def _geom_colour(model: mujoco.MjModel, geom: int) -> Array:
-    """Colour of a geom by its material or its own: red, green, blue, opacity, (4,)."""
+    """Colour of a geom's material, else of the geom: red, green, blue, opacity, (4,)."""
     material = int(model.geom_matid[geom])
     colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return np.array(colour, dtype=np.float64)

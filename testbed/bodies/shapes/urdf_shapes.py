@@ -34,10 +34,15 @@ _ARRAY_FIELDS = ("size", "position", "rotation", "colour", "vertices", "faces")
 def read_shapes(model_file: ModelSource, tree: Tree) -> VisualShapes:
     """Read the visual elements; mesh files are searched in the file's folder and above.
 
-    Arguments are those of `load_shapes`.
+    Missing or unreadable meshes and invalid visuals are left out, with diagnostics. Shapes are grey
+    if no visual has a material.
+
+    Args:
+        model_file: URDF file, and the options it was read with.
+        tree: Tree read from the file.
 
     Raises:
-        ModelError: Pinocchio rejects the shapes.
+        ModelError: The file cannot be read, or Pinocchio rejects the other shapes.
     """
     path = model_file.path
     root, _ = checked_urdf_xml(model_file, keep_visuals=True)
@@ -160,8 +165,10 @@ READ_VISUALS = f"{__name__}:{read_visuals.__name__}"
 def _visual_faults(path: Path, texts: list[str], until: float) -> list[str]:
     """Fault of each visual, "" without a fault; visuals that crash are found by bisection.
 
+    Visuals that are not reached before the deadline get a fault, too.
+
     Args:
-        path: Model file.
+        path: Model file, for messages.
         texts: URDFs of one visual each.
         until: Deadline by the monotonic clock [s].
     """
@@ -237,6 +244,9 @@ def _prepare_visuals(
     link: ET.Element, path: Path, missing_files: list[str]
 ) -> Iterator[Diagnostic]:
     """Normalise numbers and mesh names of a link's visuals; remove and diagnose invalid visuals.
+
+    Invalid: malformed numbers, a missing mesh file, or one that must not be read. Mesh names become
+    absolute paths.
 
     Args:
         link: Link of the URDF, changed in place.

@@ -21,8 +21,9 @@ def readonly_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -
     """Read-only float64 array of a checked shape.
 
     Args:
-        value: Anything that NumPy converts to an array. Copied, row by row, unless it is a
-            read-only float64 array already: parts of recordings and memory maps are not copied.
+        value: Anything that NumPy converts to an array. Copied in row-major order, unless it is a
+            read-only float64 array already: parts of recordings and memory maps are not copied. An
+            empty list becomes an array of the shape, if an axis has length 0 and no axis is free.
         shape: Required shape; None leaves an axis free.
         name: Name of the array in the error message.
 
@@ -52,11 +53,11 @@ def readonly_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -
 
 
 def freeze_arrays(value: object, **shapes: tuple[int | None, ...]) -> None:
-    """Make the arrays of a frozen dataclass read-only, in its `__post_init__`.
+    """Replace array fields of a frozen dataclass by read-only arrays, in its `__post_init__`.
 
     Args:
-        value: The dataclass instance.
-        **shapes: Required shapes by name of the field, as for `readonly`.
+        value: The dataclass instance, changed in place.
+        **shapes: Required shapes by name of the field, as for `readonly_array`.
 
     Raises:
         ValueError: A shape differs.
@@ -76,6 +77,6 @@ def skew(v: AnyArray) -> AnyArray:
 
 
 def multiply_vectors(matrix: AnyArray, vector: AnyArray) -> AnyArray:
-    """Product of matrices (..., 3, 3) and vectors (..., 3), one vector each."""
+    """Products of matrices, (..., 3, 3), with vectors, (..., 3), sample by sample."""
     product: AnyArray = (matrix @ vector[..., None])[..., 0]
     return product

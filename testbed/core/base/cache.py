@@ -9,7 +9,7 @@ from pathlib import Path
 def cache_folder() -> Path:
     """Path of testbed's cache folder, which need not exist.
 
-    It is below XDG_CACHE_HOME, LOCALAPPDATA or ~/.cache.
+    The folder "testbed" below XDG_CACHE_HOME, else below LOCALAPPDATA, else below ~/.cache.
     """
     home = (
         os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"

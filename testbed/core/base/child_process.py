@@ -40,10 +40,13 @@ def call_in_child(
     seconds: float = MAX_SECONDS,
     memory: int = MAX_BYTES,
 ) -> ChildResult:
-    """Call a function in a child process, which ends with this process.
+    """Call a function in a child process, with limits of time and memory.
+
+    The child process is killed at the time limit; it ends when this process ends.
 
     Args:
-        function: MODULE:NAME of a function that returns `Returned`; a literal of this package.
+        function: Function as MODULE:NAME, a literal of this package; returns a `ChildResult`: JSON
+            content, and arrays by name.
         *arguments: Arguments, JSON values.
         file: File that the function reads, for error messages.
         error: Class of the errors raised here; takes a message.
@@ -84,7 +87,7 @@ def call_in_child(
 
 
 def _run_child(folder: Path, seconds: float) -> int | None:
-    """Run the call of a folder in a child Python and return its exit code.
+    """Run the call of a folder, `call.json`, in a child Python; return its exit code.
 
     None if the child exceeds the time limit and is killed.
     """
@@ -118,7 +121,11 @@ def _run_child(folder: Path, seconds: float) -> int | None:
 
 
 def _make_call(folder: Path) -> None:
-    """Run the call described in a folder and write its results there (in the child)."""
+    """Run the call of a folder, `call.json`, and write its results there.
+
+    In the child process, which ends with exit code 0. Array k is written to k.npy; `answer.json`
+    has content and array names, or the message of any error of the function.
+    """
     function, arguments, seconds, memory = json.loads(
         (folder / "call.json").read_text()
     )
@@ -166,7 +173,10 @@ def _limit_resources(seconds: float, memory: int) -> None:
 
 
 def _exit_with_parent(folder: Path) -> None:
-    """End this process when the parent ends and thereby closes its end of the pipe."""
+    """End this process when the parent ends and thereby closes its end of the pipe.
+
+    The folder of the call is removed before.
+    """
     sys.stdin.buffer.read()
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)

@@ -41,7 +41,11 @@ class ArraySchema:
 
 
 def _parse_array(value: Any) -> Any:
-    """Float64 array of nested lists."""
+    """Float64 array of nested lists; null becomes NaN.
+
+    Raises:
+        ValueError: The value is no array of numbers.
+    """
     try:
         return np.array(value, dtype=np.float64)
     # pydantic reports a ValueError as an invalid input
@@ -53,7 +57,7 @@ def _parse_array(value: Any) -> Any:
 
 
 class TableSchema:
-    """Pydantic schema of a dataclass that checks its fields: a table in JSON."""
+    """Pydantic schema of a dataclass whose constructor checks its fields: a table in JSON."""
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -71,6 +75,8 @@ class TableSchema:
 
 def schema_by_name(name: Callable[[Any], Any]) -> Any:
     """Method `__get_pydantic_core_schema__` of a class whose values are names in JSON.
+
+    On reading, the entry of the class in `makers` of `from_json_values` makes the value of a name.
 
     Args:
         name: Function that returns the name of a value: a string, or a list of strings.
@@ -156,7 +162,7 @@ def json_text(content: Any, *, exact: bool = False) -> bytes:
     """JSON text of plain values, floats with all digits.
 
     Args:
-        content: Plain values, as returned by `encode`.
+        content: Plain values, as returned by `to_json_values`.
         exact: True to keep NaN and Infinity, on one line, for this package only. Default null in
             their place, for other programs.
     """
@@ -187,7 +193,7 @@ def from_json_values(kind: Any, content: Any, makers: ValueFactories) -> Any:
     Args:
         kind: Type of the value.
         content: Plain values.
-        makers: Functions that make values from names, by class.
+        makers: Functions that make values from names, by class; for classes of `schema_by_name`.
 
     Raises:
         ValueError: The content does not fit the type.

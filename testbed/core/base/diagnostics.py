@@ -60,7 +60,12 @@ class Diagnostic:
         return ". ".join(_group_text([self], ()))
 
     def explains(self, other: Diagnostic) -> bool:
-        """True if another diagnostic may be a symptom of this diagnostic."""
+        """True if another diagnostic may be a symptom of this diagnostic.
+
+        The message of the other has a symptom name and this message is not `alone`; the recordings
+        are equal; this method is the other's method, or "". A `gross` symptom also needs a cause
+        without significance.
+        """
         message, symptom = _message(self.code), _message(other.code).symptom
         if not symptom or message.alone or self.method not in ("", other.method):
             return False
@@ -116,15 +121,16 @@ def make_diagnostic(
     """Make a diagnostic with the wording of the message table.
 
     Args:
-        code: Key of the table.
+        code: Key of the table, GROUP.NAME; GROUP.other words a code that is not in the table.
         subject: Channel, joint, parameter or file concerned.
-        value: Size of the finding; numbers that are not finite are dropped.
+        value: Size of the finding; this and the next two numbers become None if not finite.
         sigma: Standard deviation of `value`.
         significance: Size in standard deviations of the noise.
         method: Method whose estimate is affected.
         level: Severity; default that of the table.
         causes: Codes of likely causes; default those of the table.
-        **details: Values of further fields of the wording.
+        **details: Values of further fields of the wording; if not empty, the addition of that name
+            is appended to the text.
     """
     message = _message(code)
     numbers = {"value": value, "sigma": sigma, "significance": significance}
@@ -172,10 +178,12 @@ def worded_for_sensor(
 
 
 def ordered_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Order diagnostics: causes by significance, then symptoms, then warnings and infos.
+    """Order diagnostics: causes by decreasing significance, then symptoms, then warnings and infos.
 
-    Duplicates are removed. Each symptom gets the code of its cause in `follows`; symptoms without a
-    cause follow from the first of them.
+    Causes and symptoms are of level "error"; a cause without significance counts as infinite.
+    Each symptom gets in `follows` the code of the first cause that explains it (`explains`).
+    Without a cause, the symptom that is first in the message table stands for the cause of others.
+    Duplicates are removed.
 
     Args:
         diagnostics: Diagnostics of one recording, of one or both methods.
@@ -197,7 +205,9 @@ def ordered_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, 
 
 
 def sentences(diagnostics: Iterable[Diagnostic]) -> tuple[str, ...]:
-    """Texts of diagnostics, one line per group of similar diagnostics; see `paragraphs`.
+    """Texts of diagnostics, one line per group of similar diagnostics.
+
+    A line has the parts of `diagnostic_paragraphs`, separated by full stops.
 
     Args:
         diagnostics: Ordered diagnostics.
@@ -210,8 +220,9 @@ def diagnostic_paragraphs(
 ) -> tuple[tuple[str, ...], ...]:
     """Parts of each group's text: findings, likely causes, symptoms, remedy.
 
-    Diagnostics of the same code, causes and remedy form a group; symptoms are named with their
-    cause.
+    Diagnostics of the same code, recording, instrument, level, causes and remedy form a group;
+    without causes and remedy, the same text is required, too. Symptoms are named with the first
+    group of their cause.
 
     Args:
         diagnostics: Ordered diagnostics.
@@ -266,7 +277,11 @@ class Diagnosed:
 
 @cache
 def message_table() -> Mapping[str, Message]:
-    """Message table: wording of every kind of diagnostic, by code."""
+    """Message table: wording of every kind of diagnostic, by code GROUP.NAME.
+
+    Keys directly under a group hold for all messages of the group; symptoms are ranked in the order
+    of the file.
+    """
     by_code: dict[str, Message] = {}
     rank = 0
     for group, table in _message_file().items():
@@ -284,11 +299,11 @@ def message_table() -> Mapping[str, Message]:
 
 
 def cause_phrase(cause: str, instrument: str = "") -> str:
-    """Phrase for a likely cause.
+    """Phrase for a likely cause, from the table of causes.
 
     Args:
-        cause: Code of the cause, or the phrase.
-        instrument: Name of the force sensor; "" for the plate.
+        cause: Code of the cause; outside the table, a phrase, or words joined by underscores.
+        instrument: Name of the force sensor, which replaces "plate"; "" for the plate.
     """
     words = cause.replace("_", " ") if cause.isidentifier() else cause
     text = str(_message_file()["causes"].get(cause, words))
@@ -310,7 +325,7 @@ def _message(code: str) -> Message:
 
 
 def _group_key(each: Diagnostic) -> tuple[str, ...]:
-    """Key of the diagnostics that are worded together."""
+    """Key of diagnostics that are worded together: see `diagnostic_paragraphs`."""
     own = () if each.causes or each.remedy else (each.text,)
     return (
         each.code,

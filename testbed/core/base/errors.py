@@ -163,7 +163,9 @@ class UnknownName(TestbedError):
 
 
 def missing_file_message(path: Path, what: str) -> str:
-    """Message on a path that is no file, with a similar name in the folder.
+    """Message on a path that is no file.
+
+    It names the kind of an existing path (folder, device), else a similar name in the folder.
 
     Args:
         path: Path as the user wrote it.

@@ -52,6 +52,9 @@ LOG_NAMES = re.compile(
 def kind_of(path: Path) -> str:
     """Kind of a file by content, else by name: a key of `USAGE`, or "".
 
+    The content decides by the signature of Parquet, XML tags of models, and keys of results and
+    TOML tables; the name only for logs of other programs. "" for unknown and unreadable files.
+
     Args:
         path: The file.
     """
@@ -82,7 +85,10 @@ def kind_of(path: Path) -> str:
 
 
 def kind_of_tables(content: Mapping[str, Any]) -> str:
-    """Kind of a TOML file by the keys of its content; "" if unknown."""
+    """Kind of a TOML file by the keys of its content; "" if unknown.
+
+    The first of `REQUIRED_KEYS` of which all keys are present.
+    """
     return next(
         (kind for kind, keys in REQUIRED_KEYS.items() if keys <= {*content}), ""
     )
@@ -103,6 +109,8 @@ def wrong_kind_message(path: Path, kind: str, expected: str) -> str:
 @contextmanager
 def explain_wrong_kind(path: Path, *expected: str) -> Iterator[None]:
     """Context manager that rewords read errors if the file is of another kind.
+
+    A `TestbedError` or `OSError` gets the text of `wrong_kind_message` and is raised again.
 
     Args:
         path: The file.

@@ -36,7 +36,8 @@ class _Replacements(ExitStack):
         """Move all outputs to their targets; undo every move after an error or Ctrl-C.
 
         Raises:
-            OSError: An output cannot be moved; the message names the user's path.
+            OSError: An output cannot be moved, or its target was changed since `check_writable`
+                within `refuse_changed_targets`; the message names the user's path.
         """
         inodes = [temporary.stat().st_ino for temporary, _, _ in self.waiting]
         states = _CHECKED_STATES.get({})
@@ -64,12 +65,16 @@ class _Replacements(ExitStack):
 _CHECKED_STATES: ContextVar[dict[Path, tuple[int, int] | None]] = ContextVar(
     "_CHECKED_STATES"
 )
-"""States of targets recorded by `check_writable` within a `guarded` block."""
+"""States of targets recorded by `check_writable` within a `refuse_changed_targets` block."""
 
 
 @contextmanager
 def refuse_changed_targets() -> Iterator[None]:
-    """Context manager that refuses to replace targets changed since `check_writable`."""
+    """Context manager that refuses to replace targets changed since `check_writable`.
+
+    A target is changed if its inode or modification time differs, or if it was made or removed; its
+    replacement raises an OSError.
+    """
     token = _CHECKED_STATES.set({})
     try:
         yield
@@ -84,12 +89,14 @@ def _file_state(target: Path) -> tuple[int, int] | None:
 
 
 _DELAYED: ContextVar[_Replacements | None] = ContextVar("_DELAYED", default=None)
-"""Replacements of the enclosing `together` block; None outside a block."""
+"""Replacements of the enclosing `replace_together` block; None outside a block."""
 
 
 @contextmanager
 def replace_together() -> Iterator[None]:
-    """Context manager that delays all `replacing` to its end: all paths or none are replaced.
+    """Context manager that delays the replacements of all `atomic_output` to its end.
+
+    At the end, all paths are replaced; after an error in the block or in a replacement, no path.
 
     Raises:
         OSError: A path cannot be replaced.
@@ -107,8 +114,8 @@ def replace_together() -> Iterator[None]:
 def atomic_output(path: Path, *, folder: bool = False) -> Iterator[Path]:
     """Context manager with a temporary path that replaces `path` if the block succeeds.
 
-    The content is flushed to the disk before. Where the file system cannot exchange two folders,
-    the older folder is renamed for an instant.
+    The content is flushed to the disk before the replacement, which `replace_together` delays.
+    Where the file system cannot exchange two folders, the older folder is renamed for an instant.
 
     Args:
         path: Output; an existing one is replaced only if it is of the same kind.
@@ -141,7 +148,9 @@ def atomic_output(path: Path, *, folder: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def _output_named_in_errors(path: Path, temporary: Path) -> Iterator[None]:
-    """Context manager that replaces a temporary path by the output in errors.
+    """Context manager that replaces a temporary path by the output in messages of OSErrors.
+
+    Errors of other files and of a broken pipe are raised unchanged.
 
     Args:
         path: Output, as the user wrote it.
@@ -175,7 +184,7 @@ def _flush(path: Path) -> None:
 
 
 def _exchange(temporary: Path, target: Path) -> None:
-    """Exchange two paths; the second need not exist.
+    """Exchange two paths; rename the first if the second does not exist.
 
     Raises:
         OSError: The exchange failed; both paths are unchanged.
@@ -210,7 +219,7 @@ def _exchange_in_steps(temporary: Path, target: Path) -> None:
 
     Raises:
         OSError: The exchange failed. Both paths are unchanged, unless restoring fails, too: then
-            NAME-before-PID is the older one.
+            NAME-before-PID, beside the target NAME, has the old content.
     """
     older = target.with_name(f"{target.name}-before-{os.getpid()}")
     try:
@@ -234,6 +243,9 @@ def check_writable(
     *paths: Path | None, folder: bool = False, read: Iterable[Path | None] = ()
 ) -> None:
     """Check before a computation that its outputs can be written.
+
+    A temporary folder is made and removed beside each output. Within `refuse_changed_targets`, the
+    states of the outputs are recorded.
 
     Args:
         *paths: Outputs; None is skipped.
@@ -295,7 +307,8 @@ def _output_path(path: Path, folder: bool) -> Path:
     """Resolved path of an output: the target of a link, which itself remains.
 
     Raises:
-        OSError: The path exists and is of another kind, or cannot be resolved.
+        OSError: The path exists and is of another kind, is the working folder or a folder above, or
+            cannot be resolved.
     """
     try:
         target = path.resolve()

@@ -75,6 +75,8 @@ class Gaussian(Summarized):
     ) -> Gaussian:
         """Distribution of linear combinations of the parameters.
 
+        A combination is unidentifiable if it has a parameter that is not identifiable.
+
         Args:
             matrix: Coefficients of the combinations, (k, p).
             names: Names of the combinations, (k,).

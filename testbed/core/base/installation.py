@@ -69,7 +69,15 @@ def user_or_shipped_file(name: str | Path) -> Path:
 
 
 def _candidate_paths(root: Path, name: PurePath) -> list[Path]:
-    """Candidate paths of a shipped file; empty for absolute paths and paths with ".."."""
+    """Candidate paths of a shipped file; empty for absolute paths and paths with "..".
+
+    Paths in models/ or experiments/ are taken as they are; other names are tried in this order:
+    experiments/NAME.toml, experiments/NAME, models/NAME.
+
+    Args:
+        root: Folder that contains models/ and experiments/.
+        name: Path or short name of the file.
+    """
     if name.is_absolute() or ".." in name.parts or not name.parts:
         return []
     if name.parts[0] in {"models", "experiments"}:

@@ -19,14 +19,18 @@ def ignore_progress(*values: object) -> None:
 _stage_seconds: ContextVar[defaultdict[str, float] | None] = ContextVar(
     "seconds", default=None
 )
-"""Seconds by stage of the enclosing `stages` block; None outside a block."""
+"""Seconds by stage of the enclosing `measure_stages` block; None outside a block."""
 _nested_seconds: ContextVar[float] = ContextVar("inside", default=0.0)
 """Seconds spent so far in stages nested in the current stage."""
 
 
 @contextmanager
 def measure_stages() -> Iterator[dict[str, float]]:
-    """Context manager that measures the seconds of each stage run in its block."""
+    """Context manager that measures the seconds of each stage run in its block.
+
+    Yields:
+        Seconds by name of the stage, added up by `timed_stage`.
+    """
     seconds: defaultdict[str, float] = defaultdict(float)
     token = _stage_seconds.set(seconds)
     try:
@@ -39,7 +43,7 @@ def measure_stages() -> Iterator[dict[str, float]]:
 def timed_stage(name: str) -> Iterator[None]:
     """Context manager or decorator that adds its run time to a stage.
 
-    The time of nested stages is counted for these only.
+    The time of nested stages is counted for these only; outside `measure_stages` no time counts.
 
     Args:
         name: Name of the stage.

@@ -119,6 +119,10 @@ UNKNOWN_PLATE_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
 def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
     """Value and standard deviation as text, with the decimals of two digits of sigma.
 
+    Sigma below `MIN_DECIMAL_RATIO` of the value is printed as a power of ten, below
+    `RELATIVE_ROUNDING` it is omitted. Infinite sigma gives "not identifiable", in the long form
+    with the reason; value and sigma below 1e-15 give "0".
+
     Args:
         value: Value, in any unit.
         sigma: Standard deviation; infinite where the value is not identifiable.

@@ -59,10 +59,10 @@ def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
 
     Args:
         path: The file.
-        what: Kind of the file.
+        what: Expected kind of the file; files whose kind is not recognised are accepted, too.
 
     Raises:
-        ExperimentError: The file does not exist, is not TOML, or is of another kind.
+        ExperimentError: The file does not exist, is not TOML, is too large, or is of another kind.
     """
     if not path.is_file():
         raise ExperimentError(missing_file_message(path, f"{what} file"))
@@ -96,11 +96,11 @@ def apply_settings(content: dict[str, Any], settings: Iterable[str]) -> None:
     """Set keys of tables from settings "table.key=value".
 
     Args:
-        content: Tables, changed in place.
+        content: Tables, changed in place; missing tables are added.
         settings: Settings; the value is TOML, or text without quotes.
 
     Raises:
-        ExperimentError: A setting has another form.
+        ExperimentError: A setting has another form, or a table of its key is a value.
     """
     for setting in settings:
         key, equals, value = setting.partition("=")
@@ -138,7 +138,11 @@ def _key_parts(key: str, setting: str) -> list[str]:
 
 
 def _parse_value(text: str, setting: str) -> Any:
-    """Value parsed as TOML; else the text itself."""
+    """Value parsed as TOML; else the text itself.
+
+    Raises:
+        ExperimentError: The value has a number of thousands of digits, or is nested too deeply.
+    """
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -168,7 +172,8 @@ def validate_tables(
         source: Name of the source in messages.
 
     Raises:
-        ExperimentError: The tables do not fit the model; the message lists all faults in one line.
+        ExperimentError: The tables do not fit the model; the message lists the faults in one line,
+            as in `validation_message`.
     """
     try:
         return model.model_validate_json(json.dumps(content, default=str))
@@ -182,6 +187,8 @@ def validate_tables(
 
 def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
     """Message that lists the first validation errors, with suggestions for unknown keys.
+
+    The first unknown key precedes all other errors. Errors beyond 270 characters are counted only.
 
     Args:
         error: Errors of pydantic.
@@ -217,7 +224,9 @@ def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def _unknown_key_message(model: type[BaseModel], tables: list[str], key: str) -> str:
-    """Message on an unknown key: the table that has such a key, or known keys.
+    """Message on an unknown key, with suggestions.
+
+    A key outside all tables: the tables that have such a key; else similar keys of its own table.
 
     Args:
         model: Pydantic model of the file.
@@ -236,7 +245,12 @@ def _unknown_key_message(model: type[BaseModel], tables: list[str], key: str) ->
 
 
 def _known_keys(model: Any, tables: list[str]) -> tuple[str, ...]:
-    """Known keys of a nested table."""
+    """Known keys of a nested table; empty if its type is no table.
+
+    Args:
+        model: Pydantic model of the file.
+        tables: Names of the enclosing tables, outermost first.
+    """
     for table in tables:
         known = getattr(model, "model_fields", {})
         model = (

@@ -60,7 +60,10 @@ class Transform:
         return multiply_vectors(self.R_AB, p_B) + self.p_AB_A
 
     def wrench(self, F_B: AnyArray) -> AnyArray:
-        """Wrenches about A along its axes from wrenches F_B, (..., 6) [N, N m]."""
+        """Wrenches in frame A from wrenches F_B in frame B, (..., 6) [N, N m].
+
+        Force first, components along the axes of the frame, moment about its origin.
+        """
         force = multiply_vectors(self.R_AB, F_B[..., :3])
         moment = multiply_vectors(self.R_AB, F_B[..., 3:]) + np.cross(
             self.p_AB_A, force
@@ -69,7 +72,10 @@ class Transform:
 
     @property
     def wrench_matrix(self) -> AnyArray:
-        """Matrix that maps wrenches from B to A, (..., 6, 6); its transpose maps twists to B."""
+        """Matrix that maps wrenches from B to A, (..., 6, 6), force first.
+
+        Its transpose maps twists, linear part first, from A to B.
+        """
         zeros = np.zeros_like(self.R_AB)
         return np.block(
             [[self.R_AB, zeros], [skew(self.p_AB_A) @ self.R_AB, self.R_AB]]

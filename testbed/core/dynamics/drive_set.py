@@ -26,6 +26,7 @@ from testbed.core.robot.tree import Tree
 def random_states(tree: Tree, seed: int = 0) -> Motion:
     """Random states, enough to identify all identifiable parameters.
 
+    25 + 4 n states, uniform: positions within pi rad or 1 m, velocities and accelerations within 3.
     The first state is rest at q = 0.
 
     Args:
@@ -45,6 +46,9 @@ def make_drive_set(
     tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]
 ) -> DriveSet:
     """Minimal set of the parameters of bodies, joints and shafts, from geometry alone.
+
+    A shaft's term becomes an unknown unless its torques at random states are a linear combination
+    of those of earlier unknowns.
 
     Args:
         tree: The robot; only its geometry and its shafts matter.

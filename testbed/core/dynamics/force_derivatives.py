@@ -1,4 +1,4 @@
-"""Derivatives of base wrench and joint torques by displacements of joints, frames and base.
+"""Derivatives of base wrench and joint torques with respect to joint, frame and base displacements.
 
 One outward and one inward recursion give all derivatives, in place of differences of many inverse
 dynamics. All quantities are about the bedplate's origin, in its axes. A displacement along the
@@ -48,12 +48,12 @@ BLOCK_INSTANTS = 2048
 
 @dataclass(frozen=True, eq=False)
 class ForceGradients:
-    """Derivatives of C forces by D displacements, (M, C, D) each [N or N m per rad or m].
+    """Derivatives of C forces with respect to D displacements, (M, C, D) [N, N m per rad, m].
 
     Attributes:
-        position: Derivatives by the displacements.
-        velocity: Derivatives by their rates [s].
-        acceleration: Derivatives by their second time derivatives [s^2].
+        position: Derivatives with respect to the displacements.
+        velocity: Derivatives with respect to the rates of the displacements [s].
+        acceleration: Derivatives with respect to their second time derivatives [s^2].
     """
 
     position: Array
@@ -61,7 +61,7 @@ class ForceGradients:
     acceleration: Array
 
     def force_changes(self, displacement: Array, rate: Array, second: Array) -> Array:
-        """Changes of the forces by k displacements over time, (M, C, D, k).
+        """Changes of the forces by each displacement, for k time histories, (M, C, D, k).
 
         Args:
             displacement: Displacements, (M, D, k) [rad or m].
@@ -74,7 +74,7 @@ class ForceGradients:
         return change
 
     def select(self, displacements: slice) -> ForceGradients:
-        """Derivatives by a slice of the displacements."""
+        """Derivatives with respect to a slice of the displacements."""
         return ForceGradients(
             self.position[..., displacements],
             self.velocity[..., displacements],
@@ -84,18 +84,18 @@ class ForceGradients:
 
 @dataclass(frozen=True, eq=False)
 class ForceDerivatives:
-    """Base wrench and joint torques of a motion, and their derivatives by displacements.
+    """Base wrench and joint torques of a motion, and derivatives with respect to displacements.
 
     The first n displacements are those of the joints. With `frames`, five per joint frame follow,
     along the three axes of the frame at q = 0 and about two axes normal to the joint axis; then six
     of the base, along and about the bedplate's axes.
 
     Attributes:
-        wrench: Wrench measured by the plate or the sensor, (M, 6) [N, N m].
+        wrench: Wrench on the robot, in the frame of the bedplate or the sensor, (M, 6) [N, N m].
         torque: Joint torques, (M, n) [N m or N].
         wrench_slopes: Derivatives of the wrench.
         torque_slopes: Derivatives of the torques.
-        screws: Screws of the joints, angular and linear part, (M, n, 6).
+        screws: Screws of the joints, angular and linear part, bedplate frame, (M, n, 6).
         origins: Origins of the body frames, bedplate frame, (M, n, 3) [m].
         carrier_mask: Element (i, j) is True if joint j carries body i, (n, n).
     """
@@ -126,7 +126,7 @@ def force_derivatives(
     gravity: ArrayLike | None = None,
     frames: bool = False,
 ) -> ForceDerivatives:
-    """Compute base wrench, joint torques, and their derivatives by displacements.
+    """Compute base wrench, joint torques, and derivatives with respect to displacements.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -266,7 +266,7 @@ class _Displacement:
         return cls(joint, screw, psi, phi + _cross_motion(before.velocity, psi))
 
     def wrench_slopes(self, carried: _Composite) -> Array:
-        """Derivatives by q, q' and q'' of the wrench that moves the carried bodies, (3, 6, m)."""
+        """Derivatives of the carried bodies' wrench with respect to q, q' and q'', (3, 6, m)."""
         turned = _cross_force(self.screw, carried.wrench)
         return np.stack(
             [

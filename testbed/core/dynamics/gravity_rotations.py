@@ -73,7 +73,9 @@ def _null_axes(columns: Array, tolerance: float) -> Array:
 
 
 def _effects(tree: Tree, minimal: MinimalSet) -> tuple[Array, Array, Array]:
-    """Derivatives of T torques by rotations of gravity, minimal parameters, and joint zeros.
+    """Derivatives of T torques with respect to rotations of gravity, parameters and joint zeros.
+
+    Torques of random bodies at random states; at rest for rotations of gravity.
 
     Returns:
         Derivatives, (T, 3), (T, N) and (T, n).

@@ -120,8 +120,8 @@ class BodyMotion:
         zdd: Absolute second derivative of z, (..., 3) [m/s^2].
         w: Angular velocity, (..., 3) [rad/s].
         wd: Angular acceleration, (..., 3) [rad/s^2].
-        W: Matrix wd~ + w~ w~, (..., 3, 3) [1/s^2].
-        a: Acceleration of O^j less gravity, xdd^j - g, (..., 3) [m/s^2].
+        W: Matrix wd~ + w~ w~ with w~ v = w x v, (..., 3, 3) [1/s^2].
+        a: Acceleration of the frame's origin O^j less gravity, xdd^j - g, (..., 3) [m/s^2].
     """
 
     R_PB: AnyArray
@@ -263,7 +263,7 @@ def backward_recursion(
     Args:
         tree: Geometry of the robot.
         motions: Motion of each body.
-        theta: Barycentric parameters, (n, 10, p).
+        theta: Barycentric parameters mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz, (n, 10, p).
         substitute: Function applied to each intermediate.
         sensor: Placement of the force sensor; None for the bedplate.
         base: Index of the body that carries the sensor, -1 for the bedplate.
@@ -360,6 +360,7 @@ def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
 def body_regressor(body: BodyMotion) -> AnyArray:
     """Regressor of the wrench about O^j that moves one augmented body, (..., 6, 10).
 
+    Columns are those of mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz; force first, axes of frame j.
     Newton-Euler equations, linear in the barycentric parameters:
         F = mbar a + W mb
         L = mb x a + K wd + w x K w
@@ -399,8 +400,8 @@ def joint_forces(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -
 def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
     """Wrench of the bedplate on the moving bodies, (M, 6) [N, N m].
 
-    Force first, bedplate axes, moment about O^0; the pedestal is not included. [FRS96] eqs. (6),
-    (7) for the first joints.
+    Force first, bedplate axes, moment about O^0; the pedestal is not included. For a tree with a
+    force sensor, the sensor's wrench about its origin in its axes. [FRS96] eqs. (6), (7).
 
     Args:
         tree: The robot.
@@ -417,6 +418,8 @@ def parameter_regressor(
 ) -> Array:
     """Regressor on all barycentric parameters, (M, n or 6, 10 n).
 
+    Body by body in the order mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz.
+
     Args:
         tree: The robot; only its geometry matters.
         motion: M samples, columns in the order of `tree.names`.
@@ -432,6 +435,7 @@ def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
     """Static wrench that the bedplate or the force sensor exerts on the pedestal, (6,) [N, N m].
 
     The pedestal is the part of the robot that does not move; a force sensor may carry some of it.
+    Force first, about the bedplate's origin in its axes; for a sensor in the sensor's frame.
 
     Args:
         tree: The robot.
@@ -454,12 +458,12 @@ def linear_inverse_dynamics(
     """Joint forces, (M, n, p), and base wrench, (M, 6, p), for p sets of parameters.
 
     Inverse dynamics is linear in the parameters: the columns may be robots, or directions of a
-    regressor.
+    regressor. Frames and signs are those of `joint_forces` and `base_wrench`.
 
     Args:
         tree: The robot; only its geometry matters.
         motion: M samples, columns in the order of `tree.names`.
-        theta: Barycentric parameters, (n, 10, p).
+        theta: Barycentric parameters mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz, (n, 10, p).
         gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default the model file's.
     """
     if motion.q.shape[1] != tree.n:

@@ -192,7 +192,7 @@ class Agreement:
 
     Attributes:
         model: "torque" or "wrench".
-        rules: Number of parameters by the rules of Tables 2-5.
+        rules: Number of parameters by the rules of [FRS96] Tables 2-5.
         recursion: Number of parameters by the exact recursion.
         sampled: Rank of a sampled regressor.
         recursion_distance: Sine of the largest angle between the row spaces of rules and recursion.
@@ -201,7 +201,8 @@ class Agreement:
         gap: Ratio of retained to dropped singular values of the sampled regressor.
         change: Largest relative change of the model when eliminated parameters are set to zero and
             redefined ones are used.
-        inverse: Largest element of S lift - 1.
+        inverse: Largest element of S lift - 1, with the minimal set's matrix S and its right
+            inverse, lift.
     """
 
     model: Signal
@@ -216,7 +217,7 @@ class Agreement:
 
     @property
     def agrees(self) -> bool:
-        """True if all three row spaces agree and the sampled rank is clear.
+        """True if all row spaces agree, the sampled rank is clear and the model unchanged.
 
         The sampled row space is known to 1 / gap only; the change of the model by regrouping is a
         stricter criterion.
@@ -293,9 +294,9 @@ class DriveAgreement:
     """Comparison of a minimal set of bodies and drives with sampled columns.
 
     Attributes:
-        count: Number of unknowns by `drive_set`.
+        count: Number of unknowns by `make_drive_set`.
         sampled: Rank of the sampled regressor together with the columns of the joint terms.
-        gap: Ratio of retained to dropped singular values.
+        gap: Ratio of the smallest retained to the largest dropped singular value.
         change: Largest relative difference between these columns and their reconstruction from the
             independent columns.
     """

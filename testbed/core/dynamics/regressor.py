@@ -9,14 +9,14 @@ from testbed.core.robot.tree import Tree
 
 
 def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
-    """Regressor phi on minimal parameters: phi delta = joint forces or base wrench.
+    """Regressor phi on minimal parameters delta: phi delta = joint forces or base wrench.
 
     [FRS96] eqs. (10), (12). Takes 48 or 8 n bytes per sample and parameter: for small M and tests.
 
     Args:
         tree: The robot; only its geometry matters.
         motion: M samples, columns in the order of `tree.names`.
-        minimal: Minimal set, delta_d or delta_r, with its gravity.
+        minimal: Minimal set of joint torques or of the base wrench, with its gravity.
 
     Returns:
         Regressor, (M, n, N) [N m or N per parameter] for joint torques, (M, 6, N) for the wrench.

@@ -98,8 +98,8 @@ def non_negligible_residuals(
     A residual is compared with the largest signal among the channels of its unit.
 
     Args:
-        residual: Rms residual of each channel, (C,) [N, N m]; nan for none.
-        signal: Rms measurement of each channel, (C,) [N, N m]; nan for none.
+        residual: Rms residual of each channel, (C,) [N, N m]; nan for a channel without samples.
+        signal: Rms measurement of each channel, (C,) [N, N m]; nan for a channel without samples.
         units: Unit of each channel.
         negligible_fraction: Largest negligible residual, relative to that signal.
     """
@@ -128,7 +128,7 @@ class TermEstimate:
     Attributes:
         law: Law of the joint torque.
         joint: Name of the joint, or of the shaft that several joints turn.
-        name: `kind/JOINT`, followed by the joint's terms that are regrouped into it.
+        name: `kind/JOINT`, such as "coulomb/elbow", followed by terms that are regrouped with it.
         unit: Unit of the coefficient.
         value: Value of the coefficient.
         sigma: Standard deviation of the coefficient.
@@ -162,7 +162,8 @@ class EstimateSummary(Gaussian):
             estimated constant.
         nuisances: Coefficients of sensor errors estimated together with the parameters.
         settings: Settings of the estimate, including terms and filters chosen from the data.
-        correction: Model errors common to all recordings of the robot; None for none.
+        correction: Coefficients of the model errors subtracted from the measurements, which
+            predict these errors in other recordings of the robot; None if none were subtracted.
     """
 
     method: Signal
@@ -194,7 +195,7 @@ class Estimate(Diagnosed, EstimateSummary):
         condition: Condition number of the weighted equations with columns of unit length.
         normal_equations: Normal equations of all rows, channel by channel.
         diagnostics: Warnings and errors about data and estimate.
-        minimal: Minimal set of the first parameters.
+        minimal: Minimal set of the bodies, whose parameters are the first ones.
         drives: Minimal set with the joint laws, for joint torques; None for the plate.
         joints: Names of the joints.
         noise: Noise model of the residuals; None for white noise.
@@ -236,7 +237,7 @@ class Estimate(Diagnosed, EstimateSummary):
 
     @cached_property
     def matters(self) -> tuple[bool, ...]:
-        """True for each channel whose residual is not negligible among channels of its unit."""
+        """True where a channel's rms residual exceeds 1e-4 of its unit's largest rms signal."""
         return non_negligible_residuals(
             self.residual, self.normal_equations.rms, self.channel_units
         )

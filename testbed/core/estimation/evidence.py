@@ -29,6 +29,9 @@ INITIAL_VARIANCE_FRACTION = 0.25
 class ChannelProducts:
     """Products of columns and measurements about their prior means, channel by channel.
 
+    C channels have P shared columns and m local columns each; the prediction by the prior means of
+    the coefficients is subtracted from the measurements.
+
     Attributes:
         shared: Products of the P columns that channels share, (C, P, P).
         cross: Products of shared columns and each channel's m local columns, (C, P, m).
@@ -47,6 +50,8 @@ class ChannelProducts:
 
     def with_scaled_columns(self, factors: Array, mean: Array) -> ChannelProducts:
         """Products with each channel's shared columns multiplied by its scale factor.
+
+        The measurements stay the same; their differences from the scaled prior prediction change.
 
         Args:
             factors: Scale factor of each channel, (C,).
@@ -107,7 +112,7 @@ class Evidence:
         residual_squares: Sum of squared residuals at the posterior mean, (C,).
         cholesky_factor: Lower Cholesky factor of the shared coefficients' information matrix, (P,
             P).
-        weight: Weight of one sample of each channel, (C,).
+        weight: Weight 1 / (f_c s_c^2) of one sample of each channel, (C,).
         cross: Weighted products of shared and local columns, (C, P, m).
         local_covariance: Covariance of the local coefficients for known shared coefficients, (C, m,
             m).
@@ -134,9 +139,10 @@ class Evidence:
     def additional_gradient(
         self, cross: Array, gram: Array, moment: Array
     ) -> tuple[Array, Array]:
-        """Gradient, (E,), and Fisher information, (E, E), of additional coefficients.
+        """Gradient, (E,), and Fisher information, (E, E), of log evidence in added coefficients.
 
-        All coefficients of the model are integrated out.
+        The E added coefficients are zero and shared by the channels; all coefficients of the model
+        are integrated out.
 
         Args:
             cross: Products of the model's columns with the additional columns, (C, p, E).
@@ -165,7 +171,8 @@ def linear_evidence(
 ) -> Evidence:
     """Evidence of a linear-Gaussian model whose noise variances are estimated from the data.
 
-    The variances are estimated by expectation maximisation.
+    The variances are estimated by expectation maximisation. Channels of at most
+    MIN_CHANNEL_SAMPLES (10) samples are ignored.
 
     Args:
         products: Products of columns and measurements.
@@ -254,7 +261,10 @@ def _posterior(
 
 
 def _covariance_traces(products: ChannelProducts, estimate: Evidence) -> Array:
-    """Traces of each channel's Gram matrix times the posterior covariance, (C,)."""
+    """Traces of each channel's Gram matrix times the posterior covariance, (C,).
+
+    A trace is the expected square of the prediction's error by the coefficients' uncertainty.
+    """
     identity = np.eye(len(estimate.shared_mean))
     # posterior covariance of the shared coefficients
     shared = cho_solve((estimate.cholesky_factor, True), identity, check_finite=False)

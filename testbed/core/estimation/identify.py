@@ -113,7 +113,7 @@ def identify(
     Raises:
         RecordingError: The recording is of another robot, too short, lacks what the method needs,
             or holds numbers that are no measurement.
-        UnseenParameters: The data cannot distinguish some parameters; lists their names.
+        UnidentifiableParameters: The data cannot distinguish some parameters; lists their names.
     """
     require_tree(tree, "identify(robot, data)")
     if zeros is not None:
@@ -138,6 +138,9 @@ def identify_problem(
 ) -> tuple[Problem, Estimate]:
     """Estimate of a problem, and the problem with terms and filter chosen from data.
 
+    Model errors are subtracted, and the repeatable part of the residuals is determined. Where the
+    data cannot distinguish dry friction and offset of a joint, their sum is estimated.
+
     Args:
         problem: Robot, recording and method.
         calibration: Covariance of the plate calibration, as in `identify`.
@@ -145,7 +148,7 @@ def identify_problem(
 
     Raises:
         RecordingError: As in `identify`.
-        UnseenParameters: As in `identify`.
+        UnidentifiableParameters: As in `identify`.
     """
     problem, choice, filter_diagnostics = choose_terms_and_filter(problem)
     try:
@@ -252,7 +255,11 @@ def _with_repeatable_error(problem: Problem, estimate: Estimate) -> Estimate:
 
 
 def _has_gross_faults(estimate: Estimate) -> bool:
-    """True if gross faults of the data make a search for model errors meaningless."""
+    """True if gross faults of the data make a search for model errors meaningless.
+
+    These are errors (not warnings) that are causes rather than symptoms, except HARMLESS_CODES;
+    positions outside a joint's range only with a relative residual above MAX_RELATIVE_RESIDUAL.
+    """
     errors = {d.code for d in estimate.diagnostics if d.level == "error"}
     causes = {code for code in errors if not message_table()[code].symptom}
     residual = estimate.relative_residual[list(estimate.matters)].max(initial=0.0)
@@ -334,6 +341,10 @@ def _generalized_estimate(
     Args:
         problem: Problem with chosen terms and filters.
         doubt: Covariance of the plate calibration; None for none.
+
+    Raises:
+        SettingsError: All minimal parameters are known zeros.
+        RecordingError: The covariance is not finite.
     """
     if not problem.minimal.names:
         raise SettingsError(

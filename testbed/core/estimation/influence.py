@@ -14,7 +14,8 @@ from testbed.core.estimation.regression.normal_equations import SMALLEST_POSITIV
 def influence(estimate: Estimate, truths: Mapping[str, float]) -> Array:
     """Rms contribution of each parameter, relative to the rms of the signals, (p,).
 
-    The largest among the units of the channels counts.
+    A contribution is the parameter's value times its column. Channels in N and in N m are compared
+    separately; the larger ratio counts.
 
     Args:
         estimate: Estimate by one method.
@@ -44,6 +45,8 @@ def names_by_influence(
     estimates: Iterable[Estimate], truths: Mapping[str, float]
 ) -> list[str]:
     """Names of all parameters, sorted by decreasing influence on the signals.
+
+    For a parameter of several estimates, the largest influence counts.
 
     Args:
         estimates: Estimates of one robot, one per method.

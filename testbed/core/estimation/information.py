@@ -66,6 +66,9 @@ def information_sum(
 def combine_estimates(estimates: Sequence[Estimate]) -> Information:
     """Combine independent estimates of one robot by adding their information matrices.
 
+    Unidentifiable parameters of an estimate are left out. Unknowns that the sum does not determine
+    are nan.
+
     Args:
         estimates: Estimates, at least one.
 
@@ -104,7 +107,8 @@ def combine_estimates(estimates: Sequence[Estimate]) -> Information:
 def _solution(matrix: Array, vector: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Solution of the summed normal equations, with covariance and determined unknowns.
 
-    Directions of small eigenvalues are not determined, and unknowns with a part in them are nan.
+    With the matrix scaled to unit diagonal, directions with eigenvalues up to 1e-12 of the largest
+    are not determined, and unknowns with a component of 1e-4 in such a direction are nan.
 
     Args:
         matrix: Information matrix, (p, p).
@@ -132,7 +136,7 @@ def combination_matrix(
     """Parameters of an estimate as linear combinations of the common unknowns, (q, p).
 
     Args:
-        estimate: One of the combined estimates.
+        estimate: One of the combined estimates, with q parameters.
         minimal: Largest minimal set of the combined estimates.
         names: Names of the unknowns, the parameters of that set first, (p,).
     """

@@ -128,6 +128,7 @@ class Problem:
         Raises:
             RecordingError: The recording is of another robot, or lacks what the method needs.
             SettingsError: A time span is stated for several recordings.
+            UnknownName: There is no such method, or no such channel among those to exclude.
         """
         if method not in SIGNALS:
             raise UnknownName("signal", method, SIGNALS)
@@ -283,7 +284,7 @@ def selected_samples(recording: RecordingLike, settings: Settings) -> Source:
         settings: Settings, whose time span has priority over the recording's.
 
     Raises:
-        RecordingError: It is no recording, or has no samples in the time span.
+        RecordingError: `recording` is no recording, or has no samples in the time span.
         SettingsError: A time span is stated for several recordings.
     """
     source = open_source(recording)

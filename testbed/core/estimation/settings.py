@@ -294,6 +294,9 @@ class Settings(ValidatedValue):
     def fitted(self, rate: float) -> Settings:
         """Settings whose "fit" cutoffs are replaced by frequencies that suit the sampling rate.
 
+        On rows: 5 Hz, at most a tenth of the sampling rate and half of the cutoff on positions. On
+        positions: 40 Hz, or "off" for sampling rates up to 80 Hz.
+
         Args:
             rate: Sampling rate [Hz].
         """

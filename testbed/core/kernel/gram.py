@@ -150,7 +150,7 @@ def apply_filter(rows, signals, work, centre, count, at, n):
 
 @numba_inline
 def mark_rests(rows, signals, work, centre, lo, hi, at, n):
-    """Mark rows near samples at rest of their joint, or sum shared weights.
+    """Mark rows near samples at rest of their joint, or sum products of filter weights.
 
     With `signals.rest_reach`, rows within that many samples of a rest are marked. Otherwise the
     products of the filter weights of each row and earlier rows at samples at rest are added to G.
@@ -186,6 +186,10 @@ def mark_rests(rows, signals, work, centre, lo, hi, at, n):
 def whiten_rests(X, G, U, size, count):
     """Whiten the rows of a channel for friction at rest, by a banded Cholesky factor.
 
+    The friction at rest is white with REST_VARIANCE a sample, relative to the noise. Rows count
+    with less than MAX_REST_SHARE of their squared weights at rest, and with a variance by friction,
+    conditional on earlier rows, below MAX_REST_VARIANCE.
+
     Args:
         X: All slots of the channel; divided by the factor.
         G: Products of weights at rests, a band, diagonal first; replaced by the Cholesky factor.
@@ -217,6 +221,8 @@ def whiten_rests(X, G, U, size, count):
 @compiled_function
 def weight_rests(rows, signals, work, count, sums):
     """Whiten rows that include friction at rest, and zero the rows that do not count.
+
+    With `signals.rest_reach`, marked rows do not count, and none are whitened.
 
     Args:
         rows: Arrays of the rows.
@@ -266,7 +272,7 @@ def add_gram(rows, work, count, sums):
 
 @compiled_entry
 def sweep(robot, rows, signals, work, sums):
-    """Compute all rows, block by block, and their products if `sums` has room.
+    """Compute all rows, block by block, and their products unless `sums.products` is empty.
 
     The last block stays in work.Z.
     """

@@ -106,7 +106,7 @@ class LayoutBuilder:
 
     Args:
         frames: Links in canonical frames.
-        places: Entries and columns of each link.
+        places: Kernel entries of each link, paired with their columns.
         base: Index of the link that carries the sensor; -1 for the bedplate.
     """
 
@@ -128,6 +128,9 @@ class LayoutBuilder:
 
     def add_channel(self, link: int, force: bool, terms: list[tuple[int, int]]) -> None:
         """Add the row of a joint or of a component of the wrench.
+
+        Its slots: columns of the moved bodies, joint terms, measurement, zeros up to a multiple of
+        four.
 
         Args:
             link: Link of the joint; -1 for the next component of the wrench.
@@ -201,7 +204,7 @@ class LayoutBuilder:
         """Pairs of screws and links, link by link, with workspace indices of the screws.
 
         Returns:
-            Pairs, and of each the index of the screw on the carrier, and on the link.
+            Pairs; for each pair, the index of the screw on the link's carrier; and on the link.
         """
         allocator = IndexAllocator(self.links, SEED_COUNT)
         pairs, source, target = list[Pair](), list[int](), list[int]()
@@ -303,8 +306,8 @@ class Layout:
         """Linear combinations of the columns, by channel, (C, k, q).
 
         Args:
-            rows: Values of all slots, (slots, k).
-            basis: Coefficients of the combinations, (P, q).
+            rows: Values of all slots in k rows, (slots, k).
+            basis: Coefficients of q combinations of the P columns, (P, q).
         """
         result = np.empty((self.channel_count, rows.shape[1], basis.shape[1]))
         for c, own in enumerate(self.channel_columns):
@@ -328,7 +331,7 @@ def make_layout(
 
     Args:
         tree: The robot; only its geometry matters.
-        minimal: Minimal set, delta_d or delta_r.
+        minimal: Minimal set of joint torques (a channel a joint) or of the wrench (six channels).
         terms: Terms of the joints, for joint torques.
     """
     frames = canonical_frames(tree)
@@ -440,8 +443,8 @@ def _body_columns(
 ) -> tuple[list[int], Array]:
     """Canonical parameters that become columns, and their matrix to the minimal set.
 
-    As many as there are minimal parameters if their span permits this, else all that occur in the
-    lift.
+    As many as there are minimal parameters if their span permits this, else all that are not zero
+    in the lift, the right inverse of the minimal set's matrix.
 
     Args:
         turn: Matrices from body axes to canonical axes, (n, 10, 10).

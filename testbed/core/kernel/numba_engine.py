@@ -67,7 +67,9 @@ def workspace(layout: Layout, signals: SignalWindow) -> Workspace:
 
 
 def row_products(layout: Layout, signals: SignalWindow, work: Workspace) -> Sums:
-    """Products of the rows of a window, and the number of rows that count.
+    """Products of each channel's slots, summed over the rows of a window.
+
+    With the numbers of rows that count: those not excluded near rests of the channel's joint.
 
     Args:
         layout: Layout of the rows.
@@ -97,7 +99,7 @@ def fill_rows(layout: Layout, signals: SignalWindow, work: Workspace) -> Array:
 
 
 def rows(layout: Layout, signals: SignalWindow, work: Workspace) -> list[Block]:
-    """Rows of a window, in blocks.
+    """Filtered regressor rows of a window, in blocks of at most `layout.rows.block` rows.
 
     Args:
         layout: Layout of the rows.

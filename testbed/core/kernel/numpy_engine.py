@@ -35,7 +35,7 @@ def workspace(layout: Layout, signals: SignalWindow) -> None:
 
 
 def rows(layout: Layout, signals: SignalWindow, work: None = None) -> list[Block]:
-    """Rows of a window, in blocks.
+    """Filtered regressor rows of a window, in blocks of at most `layout.rows.block` rows.
 
     Args:
         layout: Layout of the rows.
@@ -49,7 +49,9 @@ def rows(layout: Layout, signals: SignalWindow, work: None = None) -> list[Block
 def row_products(
     layout: Layout, signals: SignalWindow, row_blocks: list[Block]
 ) -> Sums:
-    """Products of the rows of a window, and the number of rows that count.
+    """Products of each channel's slots, summed over the rows of a window.
+
+    With the numbers of rows that count: those not excluded near rests of the channel's joint.
 
     Args:
         layout: Layout of the rows.
@@ -132,6 +134,9 @@ def _filtered_block(layout: Layout, signals: SignalWindow, number: int) -> Block
 
 def _whiten_rests(z: Array, rests: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Rows, (slots, k), whitened for friction at rest, and mask of the rows that count, (k,).
+
+    Rows count with less than MAX_REST_SHARE of their squared weights at rest, and with a variance
+    by friction, conditional on earlier rows, below MAX_REST_VARIANCE.
 
     Args:
         z: Rows, (slots, k).
@@ -221,7 +226,7 @@ def _unfiltered_rows(
 def _smoothed_load(
     layout: Layout, signals: SignalWindow, first: int, count: int
 ) -> Array:
-    """Load averaged around each sample with a Hann window, (count, n).
+    """Load (torques of the bodies) averaged around each sample with a Hann window, (count, n).
 
     The window is as long as the noise of the positions is correlated.
 

@@ -161,7 +161,7 @@ def compute_motion(J, turns, P, X, qd, qdd):
 
 @llvm_inline
 def first_moment_entry(u, v, a, o, i):
-    """Entry of component i of the first moment: v O + a x u."""
+    """Entry of first-moment component i, v O + a x u, for a screw (u, v)."""
     return inner(v, matrix_column(o, i)) + cross(a, u)[i]
 
 
@@ -312,7 +312,7 @@ def read_column(source, first, count, column, U):
 
 @numba_inline
 def differentiate(source, first, count, column, taps, N, U):
-    """Position and two derivatives by symmetric convolution of an encoder's samples."""
+    """Write position, velocity, acceleration to U: convolution of encoder samples with taps."""
     half = taps.shape[1] // 2
     for k in range(count + 2 * half):
         N[k] = source[first - half + k, column]

@@ -26,6 +26,9 @@ BEDPLATE = -1
 class CandidateParameter:
     """Candidate parameter: a linear form on the ten redefined parameters of a body.
 
+    Redefined parameters are a body's barycentric parameters mbar, mb, K (mass, first moments,
+    inertia tensor), plus what migrates from the bodies that it carries.
+
     Attributes:
         label: Symbolic name.
         unit: Unit of the value.
@@ -33,7 +36,8 @@ class CandidateParameter:
         form: Coefficients on the body's ten redefined parameters, (10,).
         unit_direction: Ten parameters of the body for which this form is 1, the body's other forms
             are 0, and nothing migrates, (10,); zero for the bedplate.
-        is_axial_inertia: True for the inertia that the body's joint accelerates: K_ee, or mbar.
+        is_axial_inertia: True for the inertia that the body's joint accelerates: K_ee about a
+            revolute joint's axis e, or mbar of a prismatic joint.
     """
 
     label: Label
@@ -58,14 +62,15 @@ def candidate_parameters(
 ) -> list[CandidateParameter]:
     """Candidate parameters of all bodies, tips to base, then of the static wrench.
 
-    The static wrench counts for the wrench signal of the bedplate under gravity, if not tared.
+    The static wrench is added for the bedplate's wrench under gravity, unless it is tared or the
+    base moves.
 
     Args:
         tree: The robot.
         bodies: Regrouped bodies.
         model: "torque" or "wrench".
         gravity: Gravity, (3,) [m/s^2], bedplate frame.
-        tared: The bedplate's static wrench in one posture has been taken off.
+        tared: True if the bedplate's static wrench in one posture has been subtracted.
     """
     entries = [
         CandidateParameter(
@@ -101,12 +106,13 @@ def parameter_label(tree: Tree, body: int, parameter: KeptParameter) -> Label:
 def static_wrench_parameters(tree: Tree, gravity: Array) -> list[CandidateParameter]:
     """Entries of the static wrench: total mass, and first moment normal to gravity.
 
-    The base rule: F_0 = -M g, L_0 = -s x g. M is the sum of the first bodies' mbar, s the sum of
-    their first moments and of the parameters that migrate into the bedplate.
+    The wrench of the bedplate about its origin is F_0 = -M g, L_0 = -s x g. M is the sum of the
+    first bodies' mbar, s the sum of their first moments and of the parameters that migrate into the
+    bedplate; the two components of s are along the triad of `triad_about` gravity.
 
     Args:
         tree: The robot.
-        gravity: Gravity, not zero, (3,) [m/s^2], bedplate frame.
+        gravity: Gravity g, not zero, (3,) [m/s^2], bedplate frame.
     """
     first_bodies = tree.children(BEDPLATE)
     number = first_bodies[0] + 1 if len(first_bodies) == 1 else 0
@@ -141,8 +147,9 @@ def shared_parameters_first(
 ) -> list[CandidateParameter]:
     """Sort the wrench set's entries: parameters shared with the torque set first.
 
-    Shared parameters are in the order of the torque set; the others of a body follow as K, mb,
-    mbar.
+    Shared parameters have the same label and coefficients in both sets, and no body beyond is
+    regrouped in another way. They follow the order of the torque set, tips first; then the others
+    of each body, also tips first, as K, mb, mbar.
 
     Args:
         tree: The robot.
@@ -213,10 +220,10 @@ class Elimination:
 
     Attributes:
         independent_indices: Indices of the independent entries, ascending.
-        right_inverse: Barycentric parameters for which a kept entry is 1 and all other kept entries
-            are 0, a column for each kept entry, (10 n, kept).
-        dependencies: Coefficients of every dependent entry on the kept entries, by index; empty
-            for entries that are zero.
+        right_inverse: Barycentric parameters for which an independent entry is 1 and all other
+            independent entries are 0, a column for each, (10 n, independent).
+        dependencies: Coefficients of every dependent entry on the independent entries, by index;
+            empty for entries that are zero.
     """
 
     independent_indices: tuple[int, ...]
@@ -339,7 +346,15 @@ def _unconstrained_directions(
 ) -> _Directions:
     """Directions for all entries of a body without known zeros.
 
-    Nothing is passed on to the carrier, which must have no known zeros either.
+    The unit direction of each entry of the body, and the directions of carried bodies' entries,
+    compensated by the body's own parameters. So the carrier, which must have no known zeros either,
+    is not changed.
+
+    Args:
+        n: Number of bodies.
+        body: Index of the body.
+        entries: Candidate parameters of the body, by index.
+        directions: Directions passed on by the carried bodies.
     """
     assigned = directions.subset(directions.entries != NO_ENTRY)
     # the body's own parameters compensate for what was passed to the body
@@ -361,7 +376,14 @@ def _free_directions(
 ) -> _Directions:
     """Directions of a body's own parameters that keep known zeros at zero.
 
-    Directions that change one of the body's entries alone, then single parameters.
+    Directions that change one of the body's entries alone, then single parameters; none of these is
+    assigned to an entry yet.
+
+    Args:
+        n: Number of bodies.
+        body: Index of the body.
+        entries: Candidate parameters of the body, by index.
+        known_zero: True for parameters of the body known to be zero, (10,).
     """
     unit_directions = (entry.unit_direction for entry in entries.values())
     values = [
@@ -376,7 +398,13 @@ def _assign_entries(
 ) -> tuple[_Directions, dict[int, dict[int, float]]]:
     """Assign free directions to a body's entries by Gaussian elimination.
 
-    An entry that no free direction changes is a combination of entries with a direction.
+    The pivot of an entry is the first free direction with at least a tenth of the largest change,
+    relative to the size of the direction. If no change exceeds PIVOT_TOLERANCE, the entry depends
+    on the entries that have a direction.
+
+    Args:
+        body_entries: Candidate parameters of the body, by index.
+        directions: Free directions, and directions of carried bodies' entries.
 
     Returns:
         Directions of this and earlier bodies' entries, each changing a single entry, and the
@@ -411,6 +439,8 @@ def _carrier_directions(
 ) -> tuple[_Directions, _Directions]:
     """Convert directions of a body to changes of the carrier's parameters.
 
+    Free directions are reduced to row echelon form, and their pivots eliminated from the others.
+
     Args:
         directions: Directions of the body.
         gain: Gain matrix from the body's ten redefined parameters to the carrier's, (10, 10).
@@ -435,6 +465,8 @@ def _carrier_directions(
 
 def reduced_row_echelon(rows: Array, width: int) -> tuple[list[int], Array]:
     """Reduced row echelon form of directions: pivot columns, and independent rows.
+
+    A row whose largest remainder is at most PIVOT_TOLERANCE of its size is left out.
 
     Args:
         rows: Directions, (k, N); the columns from `width` on give the size for the tolerance.

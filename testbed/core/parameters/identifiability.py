@@ -42,7 +42,8 @@ class InstrumentIdentifiability:
     Attributes:
         instrument: Name: one of INSTRUMENTS, or "force sensor", "force sensor, tared".
         count: Number of identifiable combinations, including an unknown pedestal's.
-        standard: NEVER, COMBINED or ALONE for each standard parameter, (n, 10).
+        standard: NOT_IDENTIFIABLE, IDENTIFIABLE_IN_COMBINATION or IDENTIFIABLE_ALONE for each
+            standard parameter, (n, 10), in the order m mx my mz Ixx Ixy Iyy Ixz Iyz Izz.
     """
 
     instrument: str
@@ -59,6 +60,10 @@ def identifiability(
         tree: The robot; its inertias matter only for `zeros`.
         gravity: Gravity, (3,) [m/s^2], bedplate frame; default the model file's.
         zeros: Barycentric parameters known to be zero, as in `minimal_set`.
+
+    Returns:
+        Identifiability by each of INSTRUMENTS, in this order; for a part of a robot on a force
+        sensor, by "force sensor" and "force sensor, tared".
     """
     g = tree.gravity_or(gravity)
     plate = _sparse_combinations(minimal_set(tree, "wrench", g, zeros))
@@ -91,8 +96,9 @@ class _Combinations:
     """Identifiable combinations of an instrument, as sparse matrices.
 
     Attributes:
-        rows: Coefficients on the pedestal's unknowns, if any, and the 10 n barycentric parameters.
-        lift: Right inverse: rows times lift is 1.
+        rows: Coefficients on the pedestal's unknowns, if any, and the 10 n barycentric parameters,
+            a row for each combination.
+        lift: Right inverse of the rows: rows times lift is the identity.
     """
 
     rows: sparse.csr_array
@@ -101,10 +107,12 @@ class _Combinations:
     def levels(
         self, barycentric_matrix: sparse.sparray, inverse: sparse.sparray
     ) -> NDArray[np.int_]:
-        """Identifiability level of every standard parameter: NEVER, COMBINED or ALONE, (10 n,).
+        """Identifiability level of every standard parameter, (10 n,).
 
-        A parameter p' x is identifiable alone if p' is a combination of the rows R; then
-        p' = p' L R for any L with R L = 1.
+        With the combinations as rows R on the standard parameters, and p' the unit row of a
+        parameter: IDENTIFIABLE_ALONE if p' is in the row space of R, so that p' = p' L R for any L
+        with R L = 1; IDENTIFIABLE_IN_COMBINATION if the parameter has a coefficient in R; else
+        NOT_IDENTIFIABLE.
 
         Args:
             barycentric_matrix: Matrix from standard to barycentric parameters, (10 n, 10 n).
@@ -150,7 +158,8 @@ def _with_unknown_pedestal(
 ) -> _Combinations:
     """Identifiable combinations of a bedplate with a pedestal of unknown mass and moments.
 
-    The pedestal adds an unknown to each entry of the static wrench.
+    The pedestal adds an unknown to each entry of the static wrench, which has no entries without
+    gravity. Columns: these unknowns, then the 10 n barycentric parameters.
 
     Args:
         tree: The robot.

@@ -45,7 +45,7 @@ class DriveSet(Value):
     """Minimal parameters of bodies and drives together, for the joint torques.
 
     The unknowns are the minimal parameters of the bodies, which may contain regrouped terms, and
-    then the terms with a separate column.
+    then the terms with a separate column of the regressor.
 
     Attributes:
         minimal: Minimal set of the bodies for joint torques.
@@ -104,7 +104,7 @@ class DriveSet(Value):
     def matrix(self) -> Array:
         """Matrix of the unknowns on barycentric parameters and requested terms.
 
-        Shape (count, 10 n + asked).
+        Shape (count, 10 n + asked), in the order of `asked`.
         """
         n = self.minimal.matrix.shape[1]
         matrix = np.zeros((self.count, n + len(self.asked)))
@@ -140,7 +140,7 @@ class DriveSet(Value):
 
         Args:
             theta: Barycentric parameters, (n, 10).
-            tree: Robot with the coefficients of the terms.
+            tree: Robot with the coefficients of the terms; terms of shafts have the value 0.
             added: Additions to the coefficients by law, a number or (n,) each.
         """
         terms = [
@@ -172,6 +172,9 @@ def with_joint_terms(
     tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]
 ) -> DriveSet:
     """Minimal set of bodies and joint terms together, from the model alone.
+
+    A rotor inertia is added to the axial inertia of its joint where only the joint's own
+    acceleration identifies that inertia; all other terms have a separate column of the regressor.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -223,9 +226,10 @@ def with_joint_terms(
 def _rotor_shares(minimal: MinimalSet, joints: list[int]) -> Array:
     """Shares of rotors in the axial inertias of isolated joints, (joints, joints).
 
-    A rotor adds to the minimal parameter that is the axial inertia of its joint. Where known
-    zeros make such an inertia a combination of other parameters, or another parameter a
-    combination of such inertias, the combination of their rotors is identifiable.
+    A joint is isolated if only its own acceleration identifies its axial inertia. A rotor adds to
+    the minimal parameter that is the axial inertia of its joint. Where known zeros make such an
+    inertia a combination of other parameters, or another parameter a combination of such inertias,
+    the combination of their rotors is identifiable.
 
     Args:
         minimal: Minimal set of the joint torques.
@@ -258,7 +262,8 @@ def _isolated_joints(
 ) -> dict[int, float]:
     """Joints whose axial inertia is identified only by the joint's own acceleration.
 
-    Where that inertia also adds a constant weight to row j, joint j counts only with an offset.
+    Where that inertia also adds a constant weight to the torque of its joint j, joint j is isolated
+    only with an offset, which then contains the weight.
 
     Args:
         tree: The robot.

@@ -136,7 +136,7 @@ class MinimalSet(Value):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Table and row of the rule that keeps each parameter: a key of `rules.REASONS`."""
+        """Table and row of the rule that keeps each parameter: a key of `rules.RULE_REASONS`."""
         return tuple(
             "base" if b < 0 else self._bodies[b].row.number for b in self.bodies
         )
@@ -173,9 +173,10 @@ class MinimalSet(Value):
 
     @cached_property
     def matrix(self) -> Array:
-        """Matrix S, (N, 10 n), on the barycentric parameters in the order of `barycentric`.
+        """Matrix S of the minimal parameters on the barycentric parameters, (N, 10 n).
 
-        Columns of parameters known to be zero are zero.
+        Columns body by body, mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz; columns of parameters known
+        to be zero are zero.
         """
         rows = barycentric_rows(self._tree, self._bodies, self._entries)
         rows[:, self.known_zero.ravel()] = 0.0
@@ -193,7 +194,8 @@ class MinimalSet(Value):
     def with_carried_mass(self, theta: Array) -> Array:
         """Copy of theta with the mass mbar that a free base's coordinate bodies carry.
 
-        The bodies of the coordinates are massless, so their mbar is the base's.
+        The bodies of the coordinates are massless, so their mbar is the base's. Without a free
+        base, or with a force sensor on it, the copy is unchanged.
 
         Args:
             theta: Barycentric parameters, (10 n, ...), with any masses of the coordinate bodies.
@@ -236,6 +238,8 @@ class MinimalSet(Value):
     def auxiliary_with(self, lengths: LengthNotation) -> tuple[Formula, ...]:
         """Formulas of the starred parameters, with lengths as symbols or as numbers.
 
+        Only parameters on the right of `formulas_with`, or of these formulas, tips first.
+
         Args:
             lengths: "symbols" prints l12z, "numbers" its value.
         """
@@ -256,10 +260,10 @@ class MinimalSet(Value):
 
     @property
     def triads(self) -> dict[int, Triad]:
-        """Triads (u, v, w), in the body's frame, of bodies with inclined axes.
+        """Triads (u, v, w), in the body's frame, of bodies with parameters along inclined axes.
 
-        By body index, -1 for the bedplate; w is the joint axis, the only axis of rotation,
-        or the direction of gravity.
+        Inclined axes are not axes of the body. By body index, -1 for the bedplate; w is the joint
+        axis, the only axis of rotation, or the direction of gravity.
         """
         triads = {
             b: self._bodies[b].row.triad for b in sorted(set(self.bodies)) if b >= 0
@@ -297,6 +301,9 @@ def minimal_set(
             the model file, or a list of names such as "mb1x", "K2xy".
         tared: True if the bedplate's static wrench in one posture has been subtracted, so that
             only changes of the static wrench count.
+
+    Raises:
+        UnknownName: The signal or a name in `zeros` does not exist.
     """
     require_tree(tree, "minimal_set(robot, signal)")
     if model not in SIGNALS:
@@ -362,7 +369,11 @@ def known_zero_mask(tree: Tree, zeros: bool | Sequence[str]) -> NDArray[np.bool_
 
 
 def _model_file_zeros(tree: Tree) -> NDArray[np.bool_]:
-    """Mask of barycentric parameters that are zero in the model file, (n, 10)."""
+    """Mask of barycentric parameters that are zero in the model file, (n, 10).
+
+    Zero: at most 1e-12 of the body's largest parameter of the same unit; for first moments also of
+    sqrt(mass times largest component of the tensor), whichever is larger.
+    """
     theta = np.abs(barycentric(tree))
     mass, moments, tensors = theta[:, :1], theta[:, 1:4], theta[:, 4:]
     tensor = tensors.max(axis=1, keepdims=True)

@@ -11,14 +11,17 @@ from testbed.core.base.arrays import Array, skew
 from testbed.core.base.transform import Transform
 
 UPPER_ENTRIES = tuple((a, b) for b in range(4) for a in range(b + 1))
-"""Row and column of the upper triangle's entries, column by column: order of `coordinates`."""
+"""Row and column of the upper triangle's entries, column by column: order of coordinates."""
 
 ROWS, COLUMNS = (list(each) for each in zip(*UPPER_ENTRIES[:6], strict=True))
-"""Row and column indices of an inertia tensor's components, in the order of STANDARD."""
+"""Row and column indices of an inertia tensor's components, in the order xx xy yy xz yz zz."""
 
 
 def _basis_matrices() -> Array:
-    """Symmetric matrix of each unit coordinate, of Frobenius norm 1, (10, 4, 4)."""
+    """Orthonormal basis of the symmetric (4, 4) matrices in the Frobenius product, (10, 4, 4).
+
+    A matrix for each of `UPPER_ENTRIES`: 1 on the diagonal, else sqrt(1/2) in both places.
+    """
     basis = np.zeros((10, 4, 4))
     for k, (a, b) in enumerate(UPPER_ENTRIES):
         basis[k, a, b] = basis[k, b, a] = 1.0 if a == b else np.sqrt(0.5)
@@ -30,10 +33,13 @@ COORDINATE_BASIS = _basis_matrices()
 
 
 def pseudo_inertias(standard: Array) -> Array:
-    """Pseudo-inertia matrices J of bodies, (..., 4, 4).
+    """Pseudo-inertia matrices J = [[S, h], [h', m]] of bodies, (..., 4, 4).
+
+    m is the mass, h the first moment, S = tr(I)/2 1 - I the matrix of second moments.
 
     Args:
-        standard: Standard parameters, (..., 10) [kg, kg m, kg m^2].
+        standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the frame's origin,
+            (..., 10) [kg, kg m, kg m^2].
     """
     pseudo = np.empty((*standard.shape[:-1], 4, 4))
     pseudo[..., ROWS, COLUMNS] = pseudo[..., COLUMNS, ROWS] = standard[..., 4:]
@@ -44,7 +50,9 @@ def pseudo_inertias(standard: Array) -> Array:
 
 
 def parameters(pseudo: Array) -> Array:
-    """Standard parameters of bodies from J, (..., 10) [kg, kg m, kg m^2].
+    """Standard parameters of bodies from pseudo-inertias, (..., 10) [kg, kg m, kg m^2].
+
+    Order: m mx my mz Ixx Ixy Iyy Ixz Iyz Izz; inverse of `pseudo_inertias`.
 
     Args:
         pseudo: Pseudo-inertia matrices J, (..., 4, 4), symmetric.
@@ -57,6 +65,8 @@ def parameters(pseudo: Array) -> Array:
 def standard_parameter_transform(X_AB: Transform) -> Array:
     """Matrix that transforms standard parameters from frame B to frame A, (..., 10, 10).
 
+    Parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the origin and along the axes of a frame.
+
     Args:
         X_AB: Pose of frame B in A.
     """
@@ -65,10 +75,14 @@ def standard_parameter_transform(X_AB: Transform) -> Array:
 
 
 def standard_parameter_rate(twist: Array) -> Array:
-    """Matrix of the rate of a moving body's standard parameters in a fixed frame, (10, 10).
+    """Matrix from a moving body's standard parameters to their time derivatives, (10, 10).
+
+    Parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the origin and along the axes of a fixed
+    frame.
 
     Args:
-        twist: Twist of the body, linear part first, (6,).
+        twist: Twist of the body at the origin of the fixed frame, along its axes, linear part
+            first, (6,).
     """
     S = np.zeros((4, 4))
     S[:3, :3], S[:3, 3] = skew(twist[3:]), twist[:3]
@@ -89,7 +103,7 @@ STANDARD_BASIS = pseudo_inertias(np.eye(10))
 
 
 def pseudo_inertia_coordinates(matrices: Array) -> Array:
-    """Coordinates of symmetric matrices in an orthonormal basis, (..., 10).
+    """Coordinates of symmetric matrices in the orthonormal basis `COORDINATE_BASIS`, (..., 10).
 
     The norm of the coordinates is the Frobenius norm of the matrix.
 
@@ -100,7 +114,7 @@ def pseudo_inertia_coordinates(matrices: Array) -> Array:
 
 
 def matrices_from_coordinates(coordinates: Array) -> Array:
-    """Symmetric matrices from coordinates in the orthonormal basis, (..., 4, 4).
+    """Symmetric matrices from coordinates in the basis `COORDINATE_BASIS`, (..., 4, 4).
 
     Args:
         coordinates: Coordinates, (..., 10).
@@ -109,9 +123,10 @@ def matrices_from_coordinates(coordinates: Array) -> Array:
 
 
 def standard_from_coordinates(roots: Array) -> Array:
-    """Standard parameters as linear forms of the coordinates of Y, (..., 10, 10).
+    """Matrix from coordinates of Y to the standard parameters of a body, (..., 10, 10).
 
-    The pseudo-inertia matrix of a body is J = U Y U'.
+    The pseudo-inertia matrix of a body is J = U Y U'. Columns as `COORDINATE_BASIS`; rows
+    m mx my mz Ixx Ixy Iyy Ixz Iyz Izz.
 
     Args:
         roots: Factors U, (..., 4, 4), that scale Y to entries near 1.

@@ -61,11 +61,14 @@ INDEPENDENCE_TOLERANCE = 1e-8
 class CompositeFunctionals:
     """Identifiable functionals of a composite body j at q = 0, rows on (m, h, I).
 
+    The composite body is body j with all bodies that it carries, m h I its mass, first moment and
+    inertia tensor (xx xy xz yy yz zz) in frame j, S_j the unit twist of joint j.
+
     Attributes:
         without_acceleration: Functionals identifiable without joint j's own acceleration, and
             without its weight at q = 0, (k, 10).
-        inertia: S_j . I_j S_j, the coefficient of qdd_j in row j, (10,).
-        weight: -g . I_j S_j with gravity g at q = 0: the constant in row j, (10,).
+        inertia: S_j . I_j S_j, the coefficient of qdd_j in the torque of joint j, (10,).
+        weight: -g . I_j S_j with gravity g at q = 0: the constant in that torque, (10,).
     """
 
     without_acceleration: Array
@@ -83,7 +86,9 @@ class CompositeFunctionals:
 def composite_functionals(
     tree: Tree, model: Signal, gravity: Array, static: Array
 ) -> Iterator[CompositeFunctionals]:
-    """Identifiable functionals of every composite body, from the bedplate outwards.
+    """Yield the identifiable functionals of every composite body, from the bedplate outwards.
+
+    Without samples of the motion: closures of row spaces under the operators of the joints' twists.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -166,7 +171,13 @@ def _ad(screw: Array) -> Array:
 
 
 def _momentum_functionals(screw: Array) -> Array:
-    """Momentum I_j S_j of a twist, its six components as functionals of (m, h, I), (6, 10)."""
+    """Momentum of a composite body at a twist, as functionals of (m, h, I), (6, 10).
+
+    Rows: linear momentum, then angular momentum about the frame's origin.
+
+    Args:
+        screw: Twist, linear part first, (6,).
+    """
     v, w = screw[:3], screw[3:]
     linear = np.concatenate([v[:, None], skew(w), np.zeros((3, 6))], axis=1)
     angular = np.concatenate(
@@ -178,7 +189,7 @@ def _momentum_functionals(screw: Array) -> Array:
 def inertia_transform(X_AB: Transform) -> Array:
     """Matrix that transforms inertial parameters (m, h, I) from frame B to A, (..., 10, 10).
 
-    Tensors in the order of UPPER [kg, kg m, kg m^2].
+    Tensor I about the frame's origin, in the order xx xy xz yy yz zz [kg, kg m, kg m^2].
 
     Args:
         X_AB: Pose of frame B in A.
@@ -187,7 +198,10 @@ def inertia_transform(X_AB: Transform) -> Array:
 
 
 def _reordered_matrix(matrix: Array) -> Array:
-    """Matrix on (m, h, I) from a matrix on standard parameters, (..., 10, 10)."""
+    """Matrix on (m, h, I) from a matrix on standard parameters, (..., 10, 10).
+
+    The tensor's components are reordered from xx xy yy xz yz zz to xx xy xz yy yz zz.
+    """
     return matrix[..., STANDARD_PERMUTATION, :][..., STANDARD_PERMUTATION]
 
 
@@ -204,7 +218,8 @@ def _invariant_closure(rows: Array, operator: Array) -> Array:
 def row_space_basis(rows: Array) -> Array:
     """Orthonormal basis of the row space by singular values, (rank, columns).
 
-    Rows are of order one, or rounding of zero, and are therefore not rescaled.
+    Rows are of order one, or rounding of zero, and are therefore not rescaled. Singular values up
+    to `INDEPENDENCE_TOLERANCE` of the largest, or of 1, count as zero.
     """
     if not rows.any():
         return rows[:0]
@@ -238,6 +253,9 @@ def regroup_bodies(
     tree: Tree, model: Signal, gravity: Array, *, tared: bool = False
 ) -> tuple[RegroupedBody, ...]:
     """Apply the regrouping rules to every joint.
+
+    Massless bodies before a moving base keep no parameter; the base has the row of `base_rule`, all
+    other bodies that of `joint_rule`.
 
     Args:
         tree: The robot.
@@ -277,7 +295,8 @@ def redefined_parameter_rows(tree: Tree, bodies: Sequence[RegroupedBody]) -> Arr
 def migration_matrices(joint: Joint, row: RuleRow) -> Array:
     """Gain matrices from body j's redefined parameters to its carrier i's, (4, 10, 10).
 
-    With b the migrating part of mb^j in frame i: mb*^i = mb^i + b and
+    Coefficients of 1, lx, ly, lz for the offset l of joint j in frame i; x~ is the cross-product
+    matrix of x. With b the migrating part of mb^j in frame i: mb*^i = mb^i + b and
     K*^i = K^i + (migrating part of K^j) - (l~ b~ + b~ l~), where
     l~ b~ + b~ l~ = b l' + l b' - 2 (l . b) 1.
     """
@@ -326,7 +345,7 @@ class FormulaWriter:
 
         Args:
             body: Index of the body.
-            component: Index of PARTS.
+            component: Index of BARYCENTRIC_COMPONENTS.
         """
         return component_symbol(body, component, star=bool(self.tree.children(body)))
 

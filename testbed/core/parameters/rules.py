@@ -72,7 +72,8 @@ class Mobility:
     def pivot(self) -> float | None:
         """Position along the axis, from O^j, of a point that never accelerates [m].
 
-        None without such a point. Body i must rotate about a direction not parallel to the axis.
+        None if gravity or a joint before joint j accelerates every point of the axis. Body i must
+        rotate about a direction not parallel to the axis.
         """
         linear, lever = self.twists[:, :3], self.twists[:, 3:] @ skew(self.axis)
         s = -float(np.sum(lever * linear) / np.sum(lever * lever))
@@ -89,7 +90,7 @@ def _normal_component(vectors: Array, axis: Array) -> float:
 
 
 def mobilities(tree: Tree, gravity: Array) -> Iterator[Mobility]:
-    """Mobility of the carrying body of every joint, in tree order.
+    """Yield the mobility of the carrying body of every joint, in tree order.
 
     Args:
         tree: The robot.
@@ -171,11 +172,11 @@ class KeptParameter:
 
     Attributes:
         terms: Summands: factor, head ("mbar", "mb", "K") and component, such as "y" or "yz" in
-            the row's triad; "d" for half a difference.
+            the row's triad (u, v, w); "d" for half the difference of Kuu and Kvv.
         form: Coefficients on the ten parameters, (10,).
         direction: Ten parameters for which this form is 1, every other kept form of the joint is
             0, and nothing migrates, (10,).
-        axial: True for the inertia that the joint accelerates: K_ee, or mbar.
+        axial: True for the inertia that the joint accelerates: K_ee about its axis e, or mbar.
     """
 
     terms: tuple[tuple[float, str, str], ...]
@@ -189,7 +190,7 @@ class RuleRow:
     """Row of the rules' tables: kept parameters, and projector onto migrating parameters.
 
     Attributes:
-        number: Table and row, a key of REASONS.
+        number: Table and row, a key of RULE_REASONS.
         parameters: Kept parameters of the joint, in printing order.
         migration_projector: Projector of body j's ten redefined parameters onto those that migrate,
             (10, 10).
@@ -205,8 +206,9 @@ class RuleRow:
 def base_rule(functionals: Array) -> RuleRow:
     """Row of a moving base whose wrench is measured.
 
-    Kept are all ten parameters of a base that moves freely, else the combinations of a reduced
-    row echelon form.
+    A base that moves freely keeps all ten parameters. Else the base keeps the combinations of a
+    reduced row echelon form, with leading parameters in the order K, mb, mbar. No parameter
+    migrates.
 
     Args:
         functionals: Identifiable functionals of the base's ten parameters, (k, 10).
@@ -239,13 +241,28 @@ def base_rule(functionals: Array) -> RuleRow:
 
 
 def joint_rule(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
-    """Row of the tables for a joint with the given mobility of its carrier."""
+    """Row of the tables for a joint with the given mobility of its carrier.
+
+    [FRS96] Tables 2 and 4 are for joint torques, 3 and 5 for the wrench; 2 and 3 for prismatic, 4
+    and 5 for revolute joints.
+
+    Args:
+        joint: Joint j.
+        mobility: Mobility of the body that carries joint j.
+        model: "torque" or "wrench".
+    """
     row_of_type = _revolute_row if joint.revolute else _prismatic_row
     return row_of_type(joint, mobility, model)
 
 
 def _prismatic_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
-    """Row of Table 2 (joint torques) or 3 (wrench) for a prismatic joint."""
+    """Row of [FRS96] Table 2 (torques) or 3 (wrench) for a prismatic joint.
+
+    Rows 1, 2, 3 for a carrier that rotates about several directions, about one direction across the
+    joint axis, or else. The mass mbar is kept with all first moments (rows 2.1, 3.1, 3.2), those
+    normal to the direction of rotation (2.2) or to the joint axis (3.3), or none (2.3); the tensor
+    migrates.
+    """
     unit = np.eye(10)[0]
     mass = KeptParameter(((1.0, "mbar", ""),), unit, unit, axial=True)
     row = {"free": 1, "across": 2}.get(mobility.rotation, 3)
@@ -268,7 +285,14 @@ def _prismatic_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
 
 
 def _revolute_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
-    """Row of Table 4 (joint torques) or 5 (wrench) for a revolute joint."""
+    """Row of [FRS96] Table 4 (torques) or 5 (wrench) for a revolute joint.
+
+    With the joint axis e, rows 4.1 and 5.1 keep mb_u, mb_v, K_ee, K_uu - K_vv, K_ve, K_ue, K_uv. If
+    the carrier rotates about e only, or not at all: mb_u, mb_v, K_ee (row 4.2), with K_ve, K_ue
+    (5.2), or K_ee alone if gravity and the motion of the joint are along e (4.3). If a point of e
+    never accelerates, row 4.4, not in the paper, keeps those of 4.1 without mb_u, mb_v, and with
+    K_ve, K_ue about that point.
+    """
     triad = triad_about(joint.axis)
     moments, axial, difference, oblique, product = _axis_parameters(triad)
     parameters: tuple[KeptParameter, ...] = (
@@ -293,7 +317,11 @@ def _revolute_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
 
 
 def _mean_and_moment_projector(triad: Triad) -> Array:
-    """Projector onto K_s = (K_uu + K_vv)/2, eq. (37), and mb_e of a triad (u, v, e)."""
+    """Projector onto the parameters that migrate over a revolute joint with axis e, (10, 10).
+
+    In the triad (u, v, e): the mean K_s = (K_uu + K_vv)/2 of the inertias normal to the axis,
+    [FRS96] eq. (37), and the first moment mb_e along the axis.
+    """
     u, v, e = triad.axes
     tensor_sum, moment = (
         _symmetric_outer(u, u) + _symmetric_outer(v, v),
@@ -310,7 +338,7 @@ def _first_moment(direction: Array) -> Array:
 
 
 def _first_moments(triad: Triad, count: int) -> tuple[KeptParameter, ...]:
-    """Components of mb^j along the first `count` directions of a triad."""
+    """Components of the first moment mb^j along the first `count` directions of a triad."""
     pairs = list(zip(triad.letters, map(_first_moment, triad.axes), strict=True))
     return tuple(
         KeptParameter(((1.0, "mb", letter),), form, form)
@@ -328,6 +356,8 @@ def _axis_parameters(
     KeptParameter,
 ]:
     """Parameters that a revolute joint with axis e can keep, in the triad (u, v, e).
+
+    First moments mb, and components of the inertia tensor K.
 
     Returns:
         (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
@@ -380,7 +410,9 @@ def _product_about_pivot(
 def triad_about(axis: Array) -> Triad:
     """Triad whose last direction is the unit vector `axis`.
 
-    The body axes, where `axis` is one of these, so that the parameters are plain components.
+    The body axes, where `axis` is along one of these, so that the parameters are plain components.
+    Else the first direction is normal to `axis` and to the body axis farthest from `axis`, and the
+    triad is right-handed.
     """
     strongest = int(np.argmax(np.abs(axis)))
     if np.linalg.norm(np.delete(axis, strongest)) <= PARALLEL_TOLERANCE:

@@ -38,14 +38,18 @@ UPPER_TRIANGLE = np.triu_indices(3)
 """Row and column indices of a symmetric tensor's six components, row by row."""
 
 TENSOR_FROM_SIX: Array = np.eye(6)[np.array([(0, 1, 2), (1, 3, 4), (2, 4, 5)])]
-"""Map from six components to the tensor, (3, 3, 6): K[a, b] = sum_k TENSOR[a, b, k] K6[k]."""
+"""Map from six components to the tensor, (3, 3, 6): K[a, b] = sum_k T[a, b, k] K6[k]."""
 
 STANDARD_PERMUTATION = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
-"""Permutation that swaps Kxz and Kyy: from the order STANDARD to PARTS, and back."""
+"""Permutation that swaps Kxz and Kyy: from the order of STANDARD_NAMES to that of
+BARYCENTRIC_COMPONENTS, and back."""
 
 
 def standard(tree: Tree) -> Array:
-    """Standard parameters of every body, (n, 10) in the order STANDARD [kg, kg m, kg m^2]."""
+    """Standard parameters of every body, (n, 10) [kg, kg m, kg m^2].
+
+    Row j is about and along body j's frame, in the order m mx my mz Ixx Ixy Iyy Ixz Iyz Izz.
+    """
     rows = [
         (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER_TRIANGLE])
         for inertia in tree.inertias
@@ -60,7 +64,8 @@ def with_standard_parameters(tree: Tree, standard: Array) -> Tree:
 
     Args:
         tree: The robot.
-        standard: Standard parameters, (n, 10) in the order STANDARD [kg, kg m, kg m^2].
+        standard: Standard parameters, (n, 10), m mx my mz Ixx Ixy Iyy Ixz Iyz Izz about and along
+            each body's frame [kg, kg m, kg m^2].
     """
     tensors = standard[:, STANDARD_PERMUTATION][:, 4:] @ np.moveaxis(
         TENSOR_FROM_SIX, 2, 0
@@ -75,7 +80,7 @@ def with_standard_parameters(tree: Tree, standard: Array) -> Tree:
 def barycentric(tree: Tree) -> Array:
     """Barycentric parameters theta of every body, (n, 10) [kg, kg m, kg m^2].
 
-    [FRS96] eqs. (3)-(5). Row j is in body j's frame, in the order PARTS.
+    [FRS96] eqs. (3)-(5). Row j is in body j's frame: mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz.
     """
     return readonly_array(
         barycentric_from_standard(tree, standard(tree)), (tree.n, 10), "theta"
@@ -90,10 +95,10 @@ def barycentric_from_standard(tree: Tree, standard: AnyArray) -> AnyArray:
 
     Args:
         tree: Robot with parents and offsets.
-        standard: Standard parameters, (n, 10, ...) in the order STANDARD, numbers or symbols.
+        standard: Standard parameters, (n, 10, ...) in the order STANDARD_NAMES, numbers or symbols.
 
     Returns:
-        Barycentric parameters theta, (n, 10, ...) in the order PARTS.
+        Barycentric parameters theta, (n, 10, ...), mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz.
     """
     theta = standard[:, STANDARD_PERMUTATION].copy()
     for j in reversed(range(tree.n)):
@@ -106,7 +111,7 @@ def barycentric_from_standard(tree: Tree, standard: AnyArray) -> AnyArray:
 def forms_on_standard(tree: Tree, rows: Array) -> Array:
     """Convert linear forms on barycentric parameters to forms on standard parameters.
 
-    The transpose of `to_barycentric`: rows theta = on_standard(rows) standard.
+    The transpose of `barycentric_from_standard`: rows theta = forms_on_standard(rows) standard.
 
     Args:
         tree: Robot with parents and offsets.
@@ -125,7 +130,12 @@ def forms_on_standard(tree: Tree, rows: Array) -> Array:
 
 
 def standard_from_barycentric(tree: Tree, theta: AnyArray) -> AnyArray:
-    """Convert barycentric to standard parameters: the inverse of `to_barycentric`."""
+    """Convert barycentric to standard parameters: the inverse of `barycentric_from_standard`.
+
+    Args:
+        tree: Robot with parents and offsets.
+        theta: Barycentric parameters, (n, 10, ...), numbers or symbols.
+    """
     standard = theta.copy()
     for j in range(tree.n):
         if tree.parents[j] >= 0:
@@ -164,7 +174,7 @@ def component_symbol(body: int, component: int, star: bool = False) -> Symbol:
 
     Args:
         body: Index of the body, from 0; its number is one more.
-        component: Index of PARTS.
+        component: Index of BARYCENTRIC_COMPONENTS.
         star: True for the redefined parameter; without effect on a mass.
     """
     head, tail = BARYCENTRIC_COMPONENTS[component]
@@ -172,7 +182,7 @@ def component_symbol(body: int, component: int, star: bool = False) -> Symbol:
 
 
 def point_mass_parameters(offset: AnyArray) -> AnyArray:
-    """Barycentric parameters of a unit point mass, (10,) in the order PARTS.
+    """Barycentric parameters mbar mbx mby mbz Kxx ... Kzz of a unit point mass, (10,).
 
     Args:
         offset: Position of the mass, (3,) [m], numbers or symbols.

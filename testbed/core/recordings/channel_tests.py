@@ -77,7 +77,16 @@ class JointMotion:
 
     @staticmethod
     def from_position(position: Array, rate: float) -> JointMotion:
-        """Estimate the motion of a joint from encoder positions, (M,), by differences."""
+        """Estimate the motion of a joint from encoder positions, (M,), by differences.
+
+        The speed is the mean over `SPEED_HALF_WINDOW` before and after a sample. The joint moves
+        where the speed exceeds `REST_SPEED` of its rms; at no sample, if the range of positions is
+        at most `MIN_MOTION_RANGE` or `STUCK_FACTOR` standard deviations of the noise.
+
+        Args:
+            position: Encoder positions, (M,) [rad or m].
+            rate: Sampling rate [Hz].
+        """
         half_window = max(1, round(SPEED_HALF_WINDOW * rate))
         padded = np.pad(position, half_window, "reflect", reflect_type="odd")
         speed = (
@@ -93,7 +102,7 @@ class JointMotion:
 
     @property
     def is_moving(self) -> bool:
-        """True if the joint moves in enough samples for tests of its channels."""
+        """True if the joint moves in more than `MIN_MOVING_SHARE` of the samples."""
         return bool(self.moving.mean() > MIN_MOVING_SHARE)
 
     def explains_plateau(self, values: Array, plateau: Flags, tolerance: float) -> bool:
@@ -116,25 +125,35 @@ class JointMotion:
 
 
 def white_noise_sigma(values: Array) -> float:
-    """Standard deviation of white noise in a signal, from fourth differences."""
+    """Standard deviation of white noise in a signal, from the median of fourth differences.
+
+    Median of the magnitudes over 0.6745, the ratio of a normal distribution.
+    """
     return float(np.median(np.abs(np.diff(values, 4))) / (0.6745 * np.sqrt(70)))
 
 
 def equal_runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of the first samples of runs of equal values, and lengths of the runs."""
+    """Indices of the first samples of runs of equal values, and lengths of the runs.
+
+    Equal: after rounding to `EQUALITY_TOLERANCE` of the range of the values, (M,).
+    """
     return runs_of_equal_rows(
         np.round(values[:, None] / (EQUALITY_TOLERANCE * np.ptp(values) or 1.0))
     )
 
 
 def _find_constant(values: Array, joint: JointMotion) -> Finding | None:
-    """Find a channel that is constant."""
+    """Find a constant channel: range at most `CONSTANT_TOLERANCE` of its first value."""
     constant = np.ptp(values) <= CONSTANT_TOLERANCE * np.abs(values[0])
     return ("dead", True, {"size": values[0]}) if constant else None
 
 
 def find_slow_updates(values: Array, joint: JointMotion) -> Finding | None:
-    """Find a channel with a new value only at every k-th sample, k > 1."""
+    """Find a channel with a new value only at every k-th sample, k > 1.
+
+    k is the median length of runs of equal values in motion: more than 60 % have this length, more
+    than `MIN_REGULAR_SHARE` a multiple of k or one sample more.
+    """
     starts, lengths = equal_runs(values)
     moving_lengths = lengths[joint.moving[starts]]
     period = int(np.median(moving_lengths)) if len(moving_lengths) > STUCK_FACTOR else 1
@@ -149,7 +168,13 @@ def find_slow_updates(values: Array, joint: JointMotion) -> Finding | None:
 
 
 def _find_stuck_runs(values: Array, joint: JointMotion) -> Finding | None:
-    """Find constant runs during motion: longer than usual, or zero between jumps."""
+    """Find constant runs during motion: longer than usual, or zero between jumps.
+
+    Longer than usual: beyond `STUCK_FACTOR` times the 95th percentile of the runs' lengths, not at
+    the largest or smallest values, unless a single such run begins and ends with jumps. A jump
+    exceeds `JUMP_FACTOR` times the 90th percentile of changes. The finding is "stuck", "dead" at
+    zero.
+    """
     starts, lengths = equal_runs(values)
     level, change = values[starts], np.abs(np.diff(values))
     jump = change[(values[1:] != 0) & (values[:-1] != 0) & (change > 0)]
@@ -173,7 +198,10 @@ def _find_stuck_runs(values: Array, joint: JointMotion) -> Finding | None:
 
 
 def _find_clipping(values: Array, joint: JointMotion) -> Finding | None:
-    """Find plateaus at extreme values that the joint's motion does not explain."""
+    """Find plateaus at extreme values that the joint's motion does not explain.
+
+    Plateaus are sought in the values, else in moving means over 0.05 s, at either extreme.
+    """
     samples, levels = np.zeros(len(values), bool), []
     window = max(3, round(0.05 * joint.rate))
     for sign in (1.0, -1.0):
@@ -195,7 +223,12 @@ def _plateau(
     """Plateau at the largest values: samples, level and resolution; None without a plateau.
 
     A moving mean over `count` samples reduces noise that was added after a saturation. Splines
-    overshoot a saturation slightly. The flat crest of a smooth signal is no plateau.
+    overshoot a saturation slightly. The flat crest of a smooth signal is no plateau (`_is_steep`).
+
+    Args:
+        values: Torque, (M,), negative to find the smallest values.
+        joint: Motion of the joint.
+        count: Number of samples in a mean; limits `EXACT_STOP` for 1, else `NOISY_STOP`.
     """
     means = np.convolve(values, np.ones(count) / count, "same")
     sorted_means, (share, ratio) = np.sort(means[joint.moving]), EXACT_STOP
@@ -221,7 +254,7 @@ def _plateau(
 def _stop_value(
     values: Array, resolution: float, share: float, ratio: float
 ) -> float | None:
-    """Level near the maximum at which most values lie; None without a stop.
+    """Level in the upper fifth of the range with most values; None without a stop.
 
     Args:
         values: Sorted values, (M,).
@@ -243,6 +276,8 @@ def _is_steep(
 ) -> bool:
     """Test whether values drop abruptly beside a plateau, unlike at a flat crest.
 
+    The mean drop, a quarter of the plateau's length outside, exceeds `KINK_FACTOR` half-widths.
+
     Args:
         values: Moving means, (M,).
         plateau: True for samples of the plateau, (M,).
@@ -261,7 +296,11 @@ def _is_steep(
 
 
 def _find_coarse_steps(values: Array, joint: JointMotion) -> Finding | None:
-    """Find quantisation steps that are large relative to the channel's variation."""
+    """Find quantisation steps that are large relative to the channel's variation.
+
+    The values are fewer than about `MAX_LEVELS` multiples of a step whose rounding noise, step /
+    sqrt(12), exceeds `MIN_ROUNDING_NOISE` of the channel's standard deviation.
+    """
     gaps = np.diff(np.unique(values))
     step = float(gaps.min())
     is_multiple = np.abs(gaps / step - np.round(gaps / step)) < 0.01
@@ -275,7 +314,11 @@ def _find_coarse_steps(values: Array, joint: JointMotion) -> Finding | None:
 
 
 def _find_magnitude(values: Array, joint: JointMotion) -> Finding | None:
-    """Find a channel of magnitudes: values of one sign with sharp minima at zero."""
+    """Find a channel of magnitudes: values of one sign with sharp minima at zero.
+
+    At least `MIN_TOUCHES` minima at zero in motion, beside which the magnitude rises in proportion
+    to time, not to its square (`MAX_RISE_RATIO`).
+    """
     from scipy.ndimage import minimum_filter1d  # scipy.signal takes half a second
 
     magnitude, reach = np.abs(values), max(2, round(0.03 * joint.rate))
@@ -306,7 +349,12 @@ def _find_magnitude(values: Array, joint: JointMotion) -> Finding | None:
 
 
 def _find_outliers(values: Array, joint: JointMotion) -> Finding | None:
-    """Find single samples that deviate from both neighbouring samples."""
+    """Find single samples that deviate from both neighbouring samples.
+
+    The deviation from the neighbours' mean exceeds 8 standard deviations of the noise,
+    `OUTLIER_FACTOR` times its 95th percentile, `MIN_OUTLIER_SIZE` of the range, and twice the
+    neighbours' difference. More than `MAX_OUTLIER_SHARE` of such samples are no outliers.
+    """
     deviation = np.abs(values[1:-1] - (values[2:] + values[:-2]) / 2)
     threshold = OUTLIER_FACTOR * np.quantile(deviation, 0.95)
     is_isolated = deviation > max(
@@ -325,7 +373,9 @@ def signal_steps(
 ) -> Iterator[tuple[int, float]]:
     """Yield steps of a signal across which its rate of change is continuous.
 
-    Yields the index of the sample before each step, and the size of the step.
+    The rate across a step differs from the mean of the rates before and after, which differ by less
+    than a quarter of that. Yields the index of the sample before each step, and the size of the
+    step.
 
     Args:
         time: Times, increasing, (M,) [s].
@@ -344,7 +394,10 @@ def signal_steps(
 
 
 def _find_offset_steps(values: Array, joint: JointMotion) -> Finding | None:
-    """Find one to three jumps of a torque away from reversals of the motion."""
+    """Find one to three jumps of a torque away from reversals of the motion.
+
+    Jumps are those of `signal_steps` with `JUMP_FACTOR`, `REVERSAL_MARGIN` from the next reversal.
+    """
     reach, indices = round(REVERSAL_MARGIN * joint.rate), np.arange(len(values))
     reversals = np.diff(np.sign(joint.speed)) != 0
     near_reversal = np.convolve(reversals, np.ones(2 * reach + 1), "same") > 0.5

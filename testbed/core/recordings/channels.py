@@ -63,7 +63,7 @@ class ChannelFault:
         first: Time of the first faulty sample [s].
         last: Time of the last faulty sample [s].
         facts: Numbers and names by field of the message.
-        left_out: Samples that estimates must not use.
+        left_out: Ranges of samples that estimates must not use, first and end index, (k, 2).
     """
 
     kind: str
@@ -91,7 +91,10 @@ class ChannelFault:
 def _find_copies(
     names: Sequence[str], values: Array, moving: Sequence[int]
 ) -> Iterator[tuple[int, Finding]]:
-    """Find channels that copy another channel or its negative, by index of the channel.
+    """Yield channels that copy another channel or its negative, by index, both of a pair.
+
+    Magnitudes are equal, within `EQUALITY_TOLERANCE` of the range, at more than `MIN_COPIED_SHARE`
+    of the samples.
 
     Args:
         names: Joint names.
@@ -111,7 +114,16 @@ def _find_copies(
 def _torque_findings(
     names: Sequence[str], torque: Array, joints: Sequence[JointMotion]
 ) -> Iterator[tuple[int, Finding]]:
-    """Findings of torque channels, by joint index."""
+    """Yield findings of the torques of moving joints, by joint index.
+
+    A copied channel is not tested further; else the first finding of `TORQUE_TESTS` counts.
+    Channels without a finding are compared by `_find_unusual_noise`.
+
+    Args:
+        names: Joint names.
+        torque: Torques, (M, n).
+        joints: Motion of each joint.
+    """
     moving = [k for k, each in enumerate(joints) if each.is_moving]
     findings = dict(_find_copies(names, torque, moving))
     for k in moving:
@@ -128,12 +140,17 @@ def _torque_findings(
 def _find_unusual_noise(
     torque: Array, faultless: Sequence[int], rate: float
 ) -> Iterator[tuple[int, Finding]]:
-    """Find torque channels that are smoother or noisier than all others, by index.
+    """Yield torque channels that are smoother or noisier than all others, by index.
+
+    Smoothed: noise of consecutive samples below `MAX_SMOOTHED_RATIO` of that of thinned samples,
+    and the others' median ratio above `MIN_WHITE_RATIO`. Noisy: noise above `NOISE_FACTOR` times
+    the others', absolute and relative to size, and above `MIN_RELATIVE_NOISE` of the own size. At
+    least three channels are needed.
 
     Args:
         torque: Torques, (M, n).
         faultless: Indices of the channels without other findings.
-        rate: Sampling rate [Hz].
+        rate: Sampling rate [Hz]; above `MIN_SMOOTHED_RATE`, smoothed channels are found.
     """
     values = torque[:, faultless].T
     noise = np.array([white_noise_sigma(channel) for channel in values])
@@ -154,7 +171,17 @@ def _find_unusual_noise(
 def _position_findings(
     names: Sequence[str], position: Array, joints: Sequence[JointMotion]
 ) -> Iterator[tuple[int, Finding]]:
-    """Findings of position channels, by joint index: copied, slow or stuck encoders."""
+    """Yield findings of moving joints' encoders, by joint index: copied, slow or stuck.
+
+    Slow encoders are no finding if all are slow. Stuck: runs of equal values, `STUCK_FACTOR` times
+    the median length, that end in a jump beyond `JUMP_FACTOR` times the 99.9th percentile of
+    changes.
+
+    Args:
+        names: Joint names.
+        position: Encoder positions, (M, n) [rad or m].
+        joints: Motion of each joint.
+    """
     moving = [k for k, each in enumerate(joints) if each.is_moving]
     yield from _find_copies(names, position, moving)
     slow_findings = {k: find_slow_updates(position[:, k], joints[k]) for k in moving}
@@ -179,6 +206,9 @@ USABLE_KINDS = {"coarse", "offset-step", "smoothed", "noisy"}
 def channel_faults(source: Source, *, torques: bool = True) -> tuple[ChannelFault, ...]:
     """Faults of a recording's positions and torques, block by block.
 
+    Each segment between gaps is tested in blocks of up to `MAX_BLOCK_SAMPLES`; blocks of fewer than
+    `MIN_SAMPLES` samples are not tested.
+
     Args:
         source: The recording.
         torques: True to test torques as well as positions.
@@ -198,10 +228,13 @@ def channel_faults(source: Source, *, torques: bool = True) -> tuple[ChannelFaul
 def _block_faults(
     recording: Recording, first: int, *, torques: bool
 ) -> Iterator[ChannelFault]:
-    """Faults of a block of a recording.
+    """Yield the faults of a block of a recording, positions first.
+
+    Estimates keep the samples of `USABLE_KINDS` of torque faults, and of positions that are not
+    stuck.
 
     Args:
-        recording: Block of the recording.
+        recording: Block of the recording; without faults below `MIN_SAMPLES` samples.
         first: Index of the block's first sample.
         torques: True to test torques as well as positions.
     """
@@ -238,7 +271,10 @@ def excluded_samples(
     excluded_channels: Sequence[str],
     reach: int,
 ) -> tuple[Spans, ...]:
-    """Samples of each channel that estimates leave out, (k, 2) each; () without any.
+    """Samples of each channel that estimates leave out, (k, 2) each.
+
+    Ranges: index of the first sample, and index after the last. () if no channel leaves out
+    samples.
 
     Args:
         faults: Faults of the recording.

@@ -76,7 +76,7 @@ def column_members(
     """Suffixes of a signal's column names: components of wrenches or poses, or joints.
 
     Args:
-        signal: Name from `SIGNALS` or, with or without truth/, from `TRUE_SIGNALS`.
+        signal: Name from `RECORDED_SIGNALS` or, with or without truth/, from `TRUE_SIGNALS`.
         joints: Joint names.
         sensors: Names of force sensors.
     """
@@ -172,7 +172,7 @@ def check_columns(
 
 
 def check_values(columns: Mapping[str, Array], source: str, first: int = 0) -> None:
-    """Check that all values of a part of a recording are finite, below `LARGEST`.
+    """Check that all values of a part of a recording are finite, below `MAX_VALUE`.
 
     Args:
         columns: Columns of consecutive samples, (M,) each, including `time`.
@@ -195,16 +195,17 @@ def check_values(columns: Mapping[str, Array], source: str, first: int = 0) -> N
 
 
 def check_times(time: Array, source: str, typical: float, first: int = 0) -> None:
-    """Check that the sampling of a part of a recording is uniform.
+    """Check that the sampling of a part of a recording is uniform, within 1 %.
 
     Args:
-        time: Times of consecutive samples, (M,) [s].
+        time: Times of consecutive samples, (M,) [s]; fewer than two are not checked.
         source: Name of the recording, for error messages.
         typical: Sampling time of the recording [s].
         first: Index of the part's first sample.
 
     Raises:
-        RecordingError: The sampling is not uniform; the message names the sample.
+        RecordingError: The times do not increase, or a sampling time differs from `typical` by more
+            than 1 %; the message names the sample.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         steps = np.diff(time)

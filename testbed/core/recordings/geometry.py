@@ -51,6 +51,13 @@ def joint_geometry(tree: Tree) -> dict[str, JointGeometry]:
 def check_robot(recording: DescribedSource, tree: Tree) -> None:
     """Check that a recording is of a robot: joint names, and joint geometry if recorded.
 
+    Joint names may be in another order; axes, offsets and rotations agree within
+    GEOMETRY_TOLERANCE.
+
+    Args:
+        recording: Recording, or another source with joint names and metadata.
+        tree: The robot.
+
     Raises:
         RecordingError: The joint names or the geometry differ.
     """
@@ -71,7 +78,7 @@ def check_robot(recording: DescribedSource, tree: Tree) -> None:
 
 
 def _is_equal(recorded: Any, value: Any) -> bool:
-    """True if a recorded value equals the model's value, numbers within TOLERANCE."""
+    """True if a recorded value equals the model's value, numbers within GEOMETRY_TOLERANCE."""
     if isinstance(value, str):
         return bool(recorded == value)
     if np.shape(recorded) != np.shape(value):

@@ -24,10 +24,10 @@ def hold_still(
 ) -> tuple[ModelFile, Source, tuple[Diagnostic, ...]]:
     """Lock the joints that a recording does not move, and remove their columns.
 
-    A joint of the file's lock without a position is locked at the recorded mean. A joint that
-    rests in the whole recording is locked as well, unless all joints rest: its parameters are
-    identifiable only in combination with the carrying body's. Joints that the recording lacks
-    are locked as in `lock_unrecorded`.
+    A joint of the file's lock without a position is locked at the recorded mean. A joint that rests
+    in the whole recording (range below `MIN_MOTION_RANGE`) is locked as well, unless all joints
+    rest: its parameters are identifiable only in combination with the carrying body's. Joints that
+    the recording lacks are locked as in `lock_unrecorded_joints`.
 
     Args:
         file: The model file; its lock may name recorded joints.
@@ -39,7 +39,8 @@ def hold_still(
         that were locked without request.
 
     Raises:
-        RecordingError: A joint of the lock moves in the recording, or is at another position.
+        RecordingError: A joint of the lock is more than 0.01 rad or m from its position at a
+            sample.
     """
     file, lock_diagnostics = lock_unrecorded_joints(file, source)
     locked_file, reduced, diagnostics = lock_resting_joints(
@@ -51,7 +52,11 @@ def hold_still(
 def lock_resting_joints(
     file: ModelFile, source: Source, *, lock_only: bool = False
 ) -> tuple[ModelFile, Source, tuple[Diagnostic, ...]]:
-    """Lock recorded joints that are in the lock or rest; arguments as in `hold_still`."""
+    """Lock recorded joints that are in the lock or rest, and remove their columns.
+
+    Arguments, results and errors as in `hold_still`. Resting joints are locked at the recorded
+    mean, within the joint's range of positions, and named in the diagnostic position.held.
+    """
     diagnostics: tuple[Diagnostic, ...] = ()
     requested = [name for name in file.lock if name in source.names]
     if lock_only and not requested:
@@ -90,7 +95,9 @@ def lock_unrecorded_joints(
 ) -> tuple[ModelFile, tuple[Diagnostic, ...]]:
     """Lock joints that a recording lacks, at the mapping's positions or at rest.
 
-    Without any of the file's joints, the recording is of another robot, and nothing is locked.
+    Joints of the file's lock keep its positions. Else the position is that in the `lock` table of
+    the recording's mapping file; without an entry, the rest position of the joint. Without any of
+    the file's joints, the recording is of another robot, and no joint is locked.
 
     Args:
         file: The model file.
@@ -119,11 +126,11 @@ def lock_unrecorded_joints(
 
 
 def without_joints(source: Source, names: Collection[str]) -> Source:
-    """Recording without the columns of some joints, and then without the truth.
+    """Recording without the columns of some joints; if a column is removed, without the truth.
 
     Args:
         source: The recording; unchanged if it has none of the joints.
-        names: Joint names.
+        names: Names of the joints to remove.
     """
     remaining = tuple(name for name in source.names if name not in names)
     if remaining == tuple(source.names):

@@ -61,7 +61,13 @@ class Joined(DerivedSource):
         )
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1 of a single recording, without the truth."""
+        """Samples `first` to `last` - 1 of a single recording, without the truth.
+
+        Times count from the start of the first recording; signals that are not common are removed.
+
+        Raises:
+            ValueError: The samples are in a gap or of several recordings.
+        """
         for part, (begin, end) in zip(self._parts, self.segments, strict=True):
             if begin <= first and last <= end:
                 recording = part.part(first - begin, last - begin)
@@ -96,7 +102,13 @@ def joined(parts: Sequence[Source]) -> Source:
 
 
 def _check_consistency(parts: Sequence[Source]) -> None:
-    """Check that recordings agree in joints, rate, gravity, geometry and presence of a tare."""
+    """Check that recordings agree in joints, rate, gravity, geometry and presence of a tare.
+
+    Joints may differ in order, rates by 0.1 %.
+
+    Raises:
+        RecordingError: A recording differs from the first one.
+    """
     first = parts[0]
     for k, other in enumerate(parts[1:], start=2):
         if sorted(other.names) != sorted(first.names):

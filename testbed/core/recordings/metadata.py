@@ -85,7 +85,8 @@ class Metadata:
         """Parse metadata from a table of a file.
 
         Args:
-            content: Values as parsed from JSON.
+            content: Values as parsed from JSON; null counts as unknown, unknown keys go to
+                `others`.
 
         Raises:
             ValueError: A value has the wrong type; the message names its key.
@@ -108,7 +109,10 @@ class Metadata:
         return metadata
 
     def table(self) -> dict[str, Any]:
-        """Known metadata as values for JSON text, by key."""
+        """Known metadata as values for JSON text, by key.
+
+        Values equal to the default are left out; the entries of `others` are keys of the table.
+        """
         content: dict[str, Any] = to_json_values(self)
         known = {
             k: v

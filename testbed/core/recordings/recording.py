@@ -133,7 +133,7 @@ class Recording(Summarized):
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Names of the measured signals, from `SIGNALS`."""
+        """Names of the measured signals, from `RECORDED_SIGNALS`."""
         return tuple(
             name for name in RECORDED_SIGNALS if getattr(self, name) is not None
         )
@@ -159,7 +159,7 @@ class Recording(Summarized):
         """Values of a measured signal, (M, n), (M, 6) or (M,).
 
         Args:
-            signal: Name from `SIGNALS`.
+            signal: Name from `RECORDED_SIGNALS`.
 
         Raises:
             RecordingError: The signal was not measured.
@@ -249,6 +249,8 @@ class Recording(Summarized):
 
         Args:
             columns: Columns by name, (M,) each; `time` and a position of every joint are required.
+                Columns of unknown signals are ignored, true signals unless all are present (sensors
+                are optional).
             header: Tare and metadata as in `Recording.header`, unchecked.
             source: Name of the recording, for error messages.
 
@@ -369,10 +371,13 @@ class Recording(Summarized):
 
 
 def parse_header(header: Any) -> tuple[Array | None, Metadata]:
-    """Parse tare and metadata of a file.
+    """Parse tare and metadata of a file, from the keys "tare" and "facts".
 
     Args:
         header: Header as read from the file, unchecked.
+
+    Returns:
+        Tare, (6,) [N, N m], or None; and metadata, empty if the key is missing.
 
     Raises:
         ValueError: The header is invalid.

@@ -17,14 +17,16 @@ SPLINE_DEGREE = 5
 def interpolate_repeated_poses(source: Source) -> tuple[Source, float]:
     """Replace regularly repeated poses of a recording by spline interpolation.
 
-    Unchanged are recordings that are long, have several segments, have sensed velocities and
-    accelerations, or repeat poses irregularly.
+    Poses repeat regularly if more than 95 % of the runs of equal poses have the median length,
+    above one. A quintic spline through the new poses (`new_sample_mask`) replaces the others;
+    samples after the last new pose are removed. Recordings of more than 200,000 samples, with gaps,
+    or with sensed velocities and accelerations are returned unchanged.
 
     Args:
         source: The recording.
 
     Returns:
-        The recording, and the share of repeated poses that were replaced.
+        The recording, and the share of repeated poses that were replaced; 0 if unchanged.
     """
     # largest number of samples that are read at once
     if source.samples > 200_000 or source.senses_kinematics or len(source.segments) > 1:
@@ -56,9 +58,10 @@ REST_FACTOR = 4
 def new_sample_mask(values: Array) -> NDArray[np.bool_]:
     """Mask of new measurements of a device that is sampled faster than it measures.
 
-    The first sample of a run of equal samples is new; in longer runs than usual, one sample per
-    usual length. If most samples are new, short runs are new only at the first sample, and all
-    samples of longer runs, rests of the robot, are new.
+    The usual length of a run of equal samples is the 90th percentile. The first sample of a run is
+    new; in longer runs, one sample per usual length. If the usual length is one sample, runs of up
+    to `REST_FACTOR` samples are new only at the first sample, and all samples of longer runs, rests
+    of the robot, are new.
 
     Args:
         values: Values of all channels, (M, k).
@@ -78,6 +81,8 @@ def new_sample_mask(values: Array) -> NDArray[np.bool_]:
 
 def repeated_sample_share(values: Array) -> float:
     """Share of samples that repeat the previous sample, without rests of the robot.
+
+    Rests are runs of equal samples longer than `REST_FACTOR` times their 90th percentile.
 
     Args:
         values: Values of all channels, (M, k).

@@ -67,7 +67,7 @@ class SamplingTimeErrors:
         return not (len(self.lost) or len(self.repeated) or self.jitter)
 
     def diagnostics(self) -> Iterator[Diagnostic]:
-        """Diagnostics of lost rows, repeated rows and jitter."""
+        """Yield diagnostics of lost rows, repeated rows and jitter, as far as detected."""
         for kind, times in (("lost", self.lost), ("repeated", self.repeated)):
             if len(times):
                 first = ", ".join(f"{time:.4g}" for time in times[:3])
@@ -83,9 +83,9 @@ NO_TIMING_ERRORS = SamplingTimeErrors(np.zeros(0), np.zeros(0), 0.0)
 
 
 def detect_sampling_time_errors(source: Source) -> SamplingTimeErrors:
-    """Errors of sampling times in a recording's longest segment.
+    """Errors of sampling times in the first `MAX_SAMPLES` of a recording's longest segment.
 
-    None are sought in a recording with sensed velocities and accelerations.
+    A recording with sensed velocities and accelerations is not tested: no errors are returned.
 
     Args:
         source: The recording.
@@ -115,6 +115,12 @@ class _Increments(NamedTuple):
 
 def errors_of_times(time: Array, position: Array) -> SamplingTimeErrors:
     """Errors of sampling times from positions of a smooth motion.
+
+    A lost or repeated row is an increment whose error along the motion exceeds `MIN_ROW_ERROR`
+    samples and `Z_THRESHOLD` standard deviations of the errors normal to the motion. Jitter is the
+    rest of the error along the motion beyond the error normal to it; if lost and repeated rows are
+    about equally frequent, or very frequent, all errors count as jitter. No errors for few moving
+    samples.
 
     Args:
         time: Times of the samples, evenly spaced, (M,) [s].
@@ -148,7 +154,15 @@ def errors_of_times(time: Array, position: Array) -> SamplingTimeErrors:
 
 
 def _increments(time: Array, position: Array) -> _Increments | None:
-    """Increments of moving samples; None if there are too few samples."""
+    """Increments of moving samples; None if there are too few samples.
+
+    Samples move where the speed, smoothed over nine increments, exceeds `MIN_RELATIVE_SPEED` of its
+    median. At least ten times as many as `INTERPOLATION_WEIGHTS` are required.
+
+    Args:
+        time: Times of the samples, evenly spaced, (M,) [s].
+        position: Positions, (M, n) [rad or m].
+    """
     steps = np.diff(position, axis=0)
     if len(steps) < 10 * len(INTERPOLATION_WEIGHTS):
         return None

@@ -56,7 +56,9 @@ def states_pedestal_share(source: Source) -> bool:
 
 
 def with_gear_shafts(tree: Tree, source: Source) -> Tree:
-    """Robot with the shafts of a recording's gear matrix, unless it has shafts already.
+    """Robot with the shafts of a recording's gear matrix (`coupled_shafts`).
+
+    The robot is unchanged if it has shafts already, or lacks a joint of the matrix's shafts.
 
     Args:
         tree: The robot.
@@ -128,6 +130,9 @@ class TransformedSource(DerivedSource):
 def with_base_joints(recording: Recording) -> Recording:
     """Replace the measured base poses of a recording by positions of six joints.
 
+    The joints x, y, z, yaw, pitch, roll [m, rad] come first. Torques, velocities, accelerations,
+    temperatures, truth and the metadata's geometry are removed.
+
     Args:
         recording: Recording with base poses.
 
@@ -171,7 +176,8 @@ def segment_recording(recording: Recording, tree: Tree) -> Recording:
     """Recording of a robot's part between force sensors, with the part's wrench.
 
     The wrench is the first sensor's minus the next sensors', transformed to the first sensor.
-    Torques are removed, because they also move other bodies.
+    Torques are removed, because they also move other bodies. The tare remains if it is the plate's
+    or the only sensor's; else the model's static wrench of the pedestal replaces it.
 
     Args:
         recording: Recording with the sensors' wrenches; `wrench` is the plate's, or the only
@@ -233,7 +239,10 @@ def segment_recording(recording: Recording, tree: Tree) -> Recording:
 def _sensor_mapping(
     mapping: Mapping[str, Any] | None, sensor: str
 ) -> Mapping[str, Any] | None:
-    """Mapping with the columns of a single sensor, unchanged if it lacks the sensor."""
+    """Mapping with the columns of a single sensor, without columns of plates.
+
+    Unchanged if the mapping lacks the sensor.
+    """
     columns = (mapping or {}).get("sensors", {}).get(sensor)
     if mapping is None or columns is None:
         return mapping
@@ -264,7 +273,8 @@ def _segment_wrench(
 ) -> Array | None:
     """Wrench of the first sensor minus the next sensors' wrenches, (M, 6).
 
-    None if the first sensor has no wrench.
+    In the first sensor's frame. The only wrench of a recording counts as the first sensor's; None
+    if the first sensor has no wrench.
 
     Args:
         tree: Part of the robot between the sensors.
@@ -304,8 +314,9 @@ def adapt_to_robot(source: Source, tree: Tree) -> Source: ...
 def adapt_to_robot(source: Source, tree: Tree) -> Source:
     """Transform a recording to the base, the force sensors and the gravity of a robot.
 
-    Measured base poses become joints of a free base. For a part of a robot between force
-    sensors, the wrench becomes the part's. Gravity torques that were subtracted are added again.
+    For a free base, measured base poses become joints. For a part of a robot between force sensors,
+    the wrench becomes the part's. Gravity torques that were subtracted, by the mapping file's key
+    torque.gravity = "removed", are added again. Else the recording is unchanged.
 
     Args:
         source: The recording.
@@ -332,8 +343,11 @@ def _lacks_gravity(metadata: Metadata) -> bool:
 def with_gravity_torques(recording: Recording, tree: Tree) -> Recording:
     """Add the gravity torques of the model file to the torques of a recording.
 
+    The truth, and the mapping's statement that gravity was removed, are left out.
+
     Args:
-        recording: Recording with gravity-compensated torques.
+        recording: Recording with gravity-compensated torques; its gravity, else the model's, is
+            used.
         tree: Robot with the inertias that were used for the compensation.
     """
     ordered = recording.ordered(tree)

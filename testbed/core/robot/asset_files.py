@@ -59,6 +59,9 @@ ASSET_SUFFIXES = {*MODEL_SUFFIXES, *MESH_SUFFIXES, *PICTURE_SUFFIXES}
 def copy_obstacle(file: Path, model: Path) -> str | None:
     """Reason not to copy a file with a model; None if the copy is allowed.
 
+    Allowed are regular files with a suffix of ASSET_SUFFIXES in the model's package, and MJCF files
+    anywhere.
+
     Args:
         file: File named by the model.
         model: Model file, links resolved.
@@ -80,7 +83,7 @@ def copy_obstacle(file: Path, model: Path) -> str | None:
 
 
 def blocking_reason(file: Path) -> str | None:
-    """Reason why reading a mesh file could block; None if its materials are regular files.
+    """Reason why reading a mesh file could block: a material that is no regular file, or None.
 
     Args:
         file: Mesh file; only .obj files name materials.
@@ -105,7 +108,8 @@ def blocking_reason(file: Path) -> str | None:
 def _is_in_package(file: Path, model: Path) -> bool:
     """Test whether a file lies below the model's folder or in its package.
 
-    A package is a folder with package.xml, or the parent of sibling folders in PACKAGE_FOLDERS.
+    The package is a folder above the file with package.xml; or the parent of the model's folder, if
+    the model's folder or the parent's subfolder with the file has a name in PACKAGE_FOLDERS.
 
     Args:
         file: File, links resolved.
@@ -125,9 +129,10 @@ def _is_in_package(file: Path, model: Path) -> bool:
 
 
 def mjcf_references(path: Path) -> Iterator[tuple[Path, Path]]:
-    """Existing files referenced by an MJCF and its includes, with the folders of their names.
+    """Yield existing files referenced by an MJCF and its includes, with their base folders.
 
-    Each file comes once, with a folder relative to which the name leads to the file.
+    Each file comes once, with the folder to which the name in the MJCF is relative. Tried are the
+    folders of the model and of the including file, with each meshdir, texturedir and assetdir.
 
     Raises:
         ModelError: A name refers to a device or a pipe, which would block readers.

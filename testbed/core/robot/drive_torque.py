@@ -15,10 +15,13 @@ from testbed.core.robot.tree import Tree
 def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
     """Torque that overcomes joint friction, with the sign of the velocity, (..., n) [N m or N].
 
+    Sum of Coulomb and viscous friction.
+
     Args:
         tree: Robot with the friction coefficients.
         qd: Joint velocities, (..., n) [rad/s or m/s].
-        smooth: Speed over which the sign of Coulomb friction is smoothed [rad/s or m/s].
+        smooth: Speed v0 of the smoothed sign tanh(qd / v0) of Coulomb friction [rad/s or m/s]; 0
+            for the exact sign.
     """
     return _sum_of_laws(
         tree,
@@ -36,7 +39,8 @@ def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Arra
         tree: Robot with the friction coefficients and rotor inertias.
         qd: Joint velocities, (..., n) [rad/s or m/s].
         qdd: Joint accelerations, (..., n) [rad/s^2 or m/s^2].
-        smooth: Speed over which the sign of Coulomb friction is smoothed [rad/s or m/s].
+        smooth: Speed v0 of the smoothed sign tanh(qd / v0) of Coulomb friction [rad/s or m/s]; 0
+            for the exact sign.
     """
     return _sum_of_laws(
         tree, (law for law in JOINT_LAWS if law.parameter is not None), qd, qdd, smooth

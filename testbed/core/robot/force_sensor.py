@@ -27,7 +27,8 @@ from testbed.core.robot.tree import SensorPlacement, Tree
 class ForceSensor(Value):
     """Six-axis force sensor between a link and the link that carries it.
 
-    It measures the wrench exerted on the links beyond the cut, force first.
+    It measures the wrench exerted on the links beyond the cut, about the sensor origin along the
+    sensor axes, force first.
 
     Attributes:
         link: Name of the first link beyond the cut.
@@ -62,17 +63,19 @@ def tree_beyond_sensor(
         tree: Robot.
         links: Links of the model file, carriers before what they carry.
         sensor: Force sensor at the cut.
-        other_sensors: Further sensors; links beyond the next ones are left out, as their wrench is
-            measured.
+        other_sensors: Further sensors; the links beyond those that follow `sensor` are left out, as
+            the wrench on these links is measured.
 
     Returns:
-        Tree with unchanged joint names and frames. A body that is cut keeps the links before the
-        cut; `sensor` is the placement of the sensor, `cuts` are those of the next sensors.
+        Tree with unchanged joint names and frames, without shafts. A body that is cut by the sensor
+        keeps the links beyond it, a body that is cut by a next sensor the links before it; bodies
+        before the sensor's are massless. `sensor` is the placement of the sensor, `cuts` are those
+        of the next sensors.
 
     Raises:
         UnknownName: No link of the model file has the name.
-        ModelError: The link is the root, whose sensor is the force plate; two sensors have the same
-            link; or no joint moves the links between the sensors.
+        ModelError: The link is the root of a robot with fixed base, whose sensor is the force
+            plate; two sensors have the same link; or no joint moves the links between the sensors.
     """
     first = _sensor_link(links, sensor)
     if not first.parent and first.body < 0 and not tree.floating:
@@ -85,12 +88,14 @@ def tree_beyond_sensor(
 def tree_before_sensors(
     tree: Tree, links: Sequence[ModelLink], other_sensors: Iterable[ForceSensor]
 ) -> Tree:
-    """Tree between the bedplate and the first force sensors; links beyond are left out.
+    """Tree between the bedplate and the first force sensors.
+
+    Links beyond the sensors are left out; `cuts` are the placements of the first sensors.
 
     Args:
         tree: Robot.
         links: Links of the model file, carriers before what they carry.
-        other_sensors: Force sensors.
+        other_sensors: Force sensors; those beyond another sensor have no effect.
 
     Raises:
         UnknownName: No link of the model file has the name.
@@ -107,11 +112,18 @@ def _segment(
 ) -> Tree:
     """Tree between a sensor, or the bedplate, and the next force sensors.
 
+    Bodies from the bedplate to the sensor's body are kept, massless but for the last; bodies that
+    are cut have the inertia of their links in the segment. Shafts are removed.
+
     Args:
         tree: Robot.
         links: Links of the model file, carriers before what they carry.
         sensor: Sensor at the base of the segment; None for the bedplate.
         other_sensors: Further sensors.
+
+    Raises:
+        UnknownName: No link of the model file has the name of a sensor's link.
+        ModelError: Two sensors have the same link, or no joint moves the segment.
     """
     if tree.floating:  # the pedestal's links belong to the base
         links = [replace(link, body=link.body + N_BASE_COORDINATES) for link in links]
@@ -179,7 +191,7 @@ def _segment_links(
     Args:
         links: Links of the model file, carriers before what they carry.
         sensor: Sensor at the base of the segment; None for the bedplate.
-        other_sensors: Further sensors.
+        other_sensors: Further sensors; the next ones are beyond `sensor` and no other sensor.
 
     Raises:
         ModelError: Two sensors have the same link.
@@ -219,7 +231,7 @@ def _sensor_link(links: Sequence[ModelLink], sensor: ForceSensor) -> ModelLink:
 
 
 def _names_beyond(links: Sequence[ModelLink], sensor: ForceSensor | None) -> set[str]:
-    """Names of the links beyond a sensor; names of all links for None, the bedplate."""
+    """Names of a sensor's link and all descendants; all names for None (the bedplate)."""
     names = (
         {link.name for link in links}
         if sensor is None

@@ -34,12 +34,12 @@ QUATERNION_NORM_TOLERANCE = 1e-2
 
 
 def base_poses(q: Array) -> Array:
-    """Base poses from base coordinates, inverse of `coordinates`, (M, 7).
+    """Base poses from base coordinates, inverse of `base_coordinates`, (M, 7) [m, 1].
 
-    Positions and quaternions (w, x, y, z) of the base frame on the ground.
+    Positions and quaternions (w, x, y, z) of the base frame in the ground frame, M samples.
 
     Args:
-        q: Base coordinates, (M, 6) [m, rad].
+        q: Base coordinates x, y, z, yaw, pitch, roll, (M, 6) [m, rad].
     """
     from scipy.spatial.transform import Rotation
 
@@ -48,13 +48,16 @@ def base_poses(q: Array) -> Array:
 
 
 def base_coordinates(base: Array) -> Array:
-    """Base coordinates of measured base poses, (M, 6) [m, rad]; angles are unwrapped.
+    """Base coordinates x, y, z, yaw, pitch, roll of measured base poses, (M, 6) [m, rad].
+
+    Angles are unwrapped along the M samples.
 
     Args:
-        base: Positions and quaternions (w, x, y, z) of the base frame on the ground, (M, 7).
+        base: Positions and quaternions (w, x, y, z) of the base frame in the ground frame, (M, 7).
 
     Raises:
-        RecordingError: A quaternion is not of length one, or a pitch exceeds MAX_PITCH.
+        RecordingError: A quaternion's length differs from one by more than
+            QUATERNION_NORM_TOLERANCE, or a pitch exceeds MAX_PITCH in magnitude.
     """
     from scipy.spatial.transform import Rotation
 

@@ -40,7 +40,7 @@ def _velocity_column(qd: Any, qdd: Any) -> Any:
 
 
 def _unit_column(qd: Any, qdd: Any) -> Any:
-    """Regressor column of a constant torque: one."""
+    """Regressor column of a constant torque: unity."""
     return 1.0
 
 
@@ -78,7 +78,7 @@ ROOM_TEMPERATURE = 25.0
 WARM_VISCOUS = JointLaw(
     "warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity_column, by="temperature"
 )
-"""Change of viscous friction with the drive's temperature above ROOM."""
+"""Change of viscous friction with the drive's temperature above ROOM_TEMPERATURE."""
 
 DRIFT_LAWS = (
     OFFSET_DRIFT,
@@ -136,7 +136,7 @@ load - sign(v) abs(load), is collinear with the error of the torque constant."""
 
 
 def _additional_laws() -> Iterator[JointLaw]:
-    """Laws defined in the modules of `testbed/core/robot/laws`, in order of module names."""
+    """Yield the laws defined in the modules of `testbed/core/robot/laws`, by module name."""
     for module in sorted(
         iter_modules(laws.__path__, f"{laws.__name__}."), key=attrgetter("name")
     ):
@@ -160,6 +160,8 @@ MIN_STRIBECK_SPEED, MAX_STRIBECK_SPEED = 1e-3, 10.0
 @lru_cache
 def stribeck_law(speed: float) -> JointLaw:
     """Stribeck friction law: additional friction at low speed, sign(v) exp(-(v / speed)^2).
+
+    The name of the law is stribeck@SPEED.
 
     Args:
         speed: Stribeck speed, at which the friction has fallen to 1/e [rad/s or m/s].
@@ -189,7 +191,7 @@ class JointTerm:
 
     Attributes:
         law: Joint law.
-        joint: Index of the joint or shaft in `places`.
+        joint: Index of the joint or shaft in `joint_and_shaft_names`: joints first.
     """
 
     law: JointLaw
@@ -201,7 +203,7 @@ class JointTerm:
         return self.law.dissipative or self.law == ROTOR
 
     def name(self, tree: Tree) -> str:
-        """Name of the coefficient, such as rotor/waist."""
+        """Name of the coefficient, KIND/JOINT or KIND/SHAFT, such as rotor/waist."""
         return f"{self.law.kind}/{joint_and_shaft_names(tree)[self.joint]}"
 
     def unit(self, tree: Tree) -> str:
@@ -212,13 +214,16 @@ class JointTerm:
 
 
 def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm, ...]:
-    """Joint terms of the given laws, law by law, each in the order of `places`.
+    """Joint terms of the given laws, without duplicates.
+
+    Laws are in the order of their first mention, the terms of a law in that of
+    `joint_and_shaft_names`.
 
     Args:
         tree: Robot.
         words: Laws by name or as values, for every joint and shaft; "rotor/elbow" for one joint or
-            shaft. Constant laws and laws with a `by` apply to joints only: the offset of a shaft is
-            collinear with the offsets of two joints.
+            shaft. Without a place, constant laws and laws with a `by` apply to joints only: the
+            offset of a shaft is collinear with the offsets of two joints.
 
     Raises:
         UnknownName: No law, joint or shaft has the name.
@@ -247,7 +252,7 @@ def law_of_term(word: str | JointLaw) -> JointLaw:
     """Joint law of a term name such as "rotor" or "rotor/elbow".
 
     Args:
-        word: Term name, or the law itself.
+        word: Term name; or the law itself, which is returned unchanged.
 
     Raises:
         UnknownName: No law has the name.
@@ -256,10 +261,11 @@ def law_of_term(word: str | JointLaw) -> JointLaw:
 
 
 def joint_law(kind: str) -> JointLaw:
-    """Joint law by name: one of LAWS, CONSTANTS, VARYING, LOADED, or stribeck@SPEED.
+    """Joint law by name: in JOINT_LAWS, CONSTANT_LAWS, DRIFT_LAWS, LOAD_LAWS, or stribeck@SPEED.
 
     Raises:
-        UnknownName: No law has the name.
+        UnknownName: No law has the name, or SPEED is not within MIN_STRIBECK_SPEED and
+            MAX_STRIBECK_SPEED.
     """
     known = {
         law.kind: law for law in (*JOINT_LAWS, *CONSTANT_LAWS, *DRIFT_LAWS, *LOAD_LAWS)
@@ -280,14 +286,17 @@ def joint_law(kind: str) -> JointLaw:
 def term_torque(
     tree: Tree, term: JointTerm, qd: Array, qdd: Array, multiplier: Array | float = 1.0
 ) -> Array:
-    """Joint torques of a term with coefficient one, (M, n) [N m or N].
+    """Joint torques of a term with unit coefficient, (M, n) [N m or N]: M samples, n joints.
+
+    The torque of a shaft acts on every joint in proportion to the transmission ratio.
 
     Args:
         tree: Robot.
         term: Law at a joint or a shaft.
         qd: Joint velocities, (M, n) [rad/s or m/s].
         qdd: Joint accelerations, (M, n) [rad/s^2 or m/s^2].
-        multiplier: Multiplier of the column for a law with a `by`, (M,).
+        multiplier: Multiplier of the column, (M,): the signal `JointLaw.by`; not used for a law
+            without `by`.
     """
     ratios = transmission_matrix(tree)[term.joint]
     column = term.law.columns(qd @ ratios, qdd @ ratios)

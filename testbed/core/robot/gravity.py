@@ -24,12 +24,12 @@ points."""
 
 
 def parse_gravity(value: Any) -> Any:
-    """Gravity vector of a text: three numbers or a name of `MOUNTINGS` [m/s^2].
+    """Gravity vector of a text: three numbers [m/s^2] or a key of `GRAVITY_BY_MOUNTING`.
 
     Values that are no text are returned unchanged.
 
     Args:
-        value: Text of a file or option, or a vector.
+        value: Text of a file or option, numbers separated by blanks or commas; or a vector.
 
     Raises:
         SettingsError: The text is neither three numbers nor a name.
@@ -48,7 +48,9 @@ def parse_gravity(value: Any) -> Any:
 
 
 def mounting_name(gravity: Sequence[float]) -> str | list[float]:
-    """Name of the mounting for a gravity vector; three numbers [m/s^2] if there is none.
+    """Name of the mounting for a gravity vector; the vector as three numbers if no name fits.
+
+    A name of `GRAVITY_BY_MOUNTING` fits if its vector is exactly equal.
 
     Args:
         gravity: Gravity vector, (3,) [m/s^2].

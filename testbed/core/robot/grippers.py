@@ -8,11 +8,11 @@ from testbed.core.robot.tree import Tree
 
 
 def finger_joints(tree: Tree, followed: Collection[str]) -> list[int]:
-    """Indices of gripper finger joints: followed by mimic joints, without child joints.
+    """Indices of gripper finger joints: masters of mimic joints, without child joints.
 
     Args:
         tree: Robot.
-        followed: Names of the joints that mimic joints follow.
+        followed: Names of the master joints of mimic joints.
     """
     parents = {joint.parent for joint in tree.joints}
     return [

@@ -62,7 +62,7 @@ class Inertia(Value):
     def radius(self) -> float:
         """Radius of gyration about the frame's origin [m]; zero for a massless body.
 
-        Root of the trace of the second moments over the mass.
+        Square root of the trace of the second-moment matrix over the mass.
         """
         return (
             math.sqrt(max(np.trace(self.tensor) / 2 / self.mass, 0.0))
@@ -80,15 +80,16 @@ class Inertia(Value):
 
     @property
     def within_limits(self) -> bool:
-        """True if all parameters are numbers of magnitude at most HEAVIEST."""
+        """True if all parameters are numbers of magnitude at most MAX_INERTIAL_PARAMETER."""
         ten = np.concatenate([[self.mass], self.first_moment, self.tensor.ravel()])
         return bool((np.abs(ten) <= MAX_INERTIAL_PARAMETER).all())  # NaN fails too
 
     @property
     def pseudo(self) -> Array:
-        """Pseudo-inertia: second moments, first moments and mass, [[S, h], [h', m]], (4, 4).
+        """Pseudo-inertia matrix [[S, h], [h', m]] about the frame's origin, (4, 4).
 
-        [WKS18]: positive semidefinite if and only if the body is physically consistent.
+        S are the second moments, integral r r' dm [kg m^2], h the first moments [kg m], m the mass
+        [kg]. [WKS18]: positive semidefinite if and only if the body is physically consistent.
         """
         matrix = np.empty((4, 4))
         matrix[:3, :3] = np.trace(self.tensor) / 2 * np.eye(3) - self.tensor
@@ -98,7 +99,7 @@ class Inertia(Value):
 
     @staticmethod
     def of_pseudo(matrix: Array) -> Inertia:
-        """Build an inertia from a pseudo-inertia matrix, (4, 4)."""
+        """Build an inertia from a pseudo-inertia matrix, (4, 4), as of `pseudo`."""
         second = matrix[:3, :3]
         return Inertia(
             matrix[3, 3], matrix[:3, 3], np.trace(second) * np.eye(3) - second
@@ -131,9 +132,9 @@ ZERO_INERTIA = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 def upper_cholesky_factor(matrix: Array) -> Array:
-    """Upper triangular factor U of a pseudo-inertia U U', (4, 4).
+    """Upper triangular Cholesky factor U of a pseudo-inertia, equal to U U', (4, 4).
 
-    U is an affine map times the square root of the mass.
+    U is the square root of the mass times a homogeneous affine map with last row (0, 0, 0, 1).
 
     Args:
         matrix: Pseudo-inertia, (4, 4), positive definite.

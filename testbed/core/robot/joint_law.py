@@ -22,15 +22,15 @@ class JointLaw:
         revolute_unit: Unit of the coefficient at a revolute joint.
         prismatic_unit: Unit of the coefficient at a prismatic joint.
         column: Regressor column as a function of velocity and acceleration [rad/s or m/s,
-            rad/s^2 or m/s^2], element by element. Columns of LAWS are also compiled for single
-            numbers: arithmetic and NumPy functions only.
+            rad/s^2 or m/s^2], element by element. Columns of JOINT_LAWS are also compiled for
+            single numbers: arithmetic and NumPy functions only.
         parameter: Field of `Joint` with the model file's coefficient; None if model files have
             none.
         dissipative: True for dissipative laws such as friction: the coefficient cannot be negative.
         discontinuous: True if the column is discontinuous where the velocity changes sign.
         by: Signal of the recording that multiplies the column, per joint: "time" since the
-            middle of the recording [s], "temperature" above 25 degC [K] or a key of BY_LOAD; ""
-            for none. Applied to joints only, not to shafts.
+            middle of the recording [s], "temperature" above 25 degC [K] or a key of
+            LOAD_MULTIPLIERS; "" for no multiplier. Applied to joints only, not to shafts.
     """
 
     kind: str
@@ -49,7 +49,7 @@ class JointLaw:
         return self.revolute_unit if joint.revolute else self.prismatic_unit
 
     def coefficients(self, tree: Tree) -> Array:
-        """Coefficients of all joints in the model file, (n,); zeros if model files have none."""
+        """Coefficients of all joints in the model file, (n,); zeros if `parameter` is None."""
         if self.parameter is None:
             return np.zeros(tree.n)
         return np.array(
@@ -60,9 +60,10 @@ class JointLaw:
         """Regressor columns of all joints, with the shape of `qd`.
 
         Args:
-            qd: Joint velocities [rad/s or m/s].
+            qd: Joint velocities, (..., n) [rad/s or m/s].
             qdd: Joint accelerations, same shape [rad/s^2 or m/s^2].
-            smooth: Speed over which a discontinuity is smoothed by tanh [rad/s or m/s]; 0 for none.
+            smooth: Speed v0 [rad/s or m/s]: the column of a discontinuous law is replaced by its
+                magnitude times tanh(qd / v0); 0 for no smoothing.
         """
         columns: Array = np.broadcast_to(self.column(qd, qdd), np.shape(qd))
         return (

@@ -41,7 +41,7 @@ class MimicCoupling:
     coefficients: tuple[float, ...]
 
     def position(self, master: float) -> float:
-        """Position of the mimic joint for a position of the master joint [rad or m]."""
+        """Position of the mimic joint [rad or m] for a position of the master joint [rad or m]."""
         return sum(c * master**k for k, c in enumerate(self.coefficients))
 
 
@@ -68,7 +68,7 @@ class JointTravel:
     def rest_position(self) -> float:
         """Rest position of the joint [rad or m].
 
-        Zero if it lies in the range, else the middle of the range or the only finite limit.
+        Zero if within the range, else the middle of the range, or its only finite limit.
         """
         if self.low <= 0 <= self.high:
             return 0.0
@@ -82,16 +82,19 @@ def parse_lock(
 ) -> dict[str, float | None]:
     """Parse lock options: JOINT, JOINT=q, a name pattern, or !pattern for all other joints.
 
+    A pattern may be followed by =q. Names without wildcard are not checked.
+
     Args:
         texts: Words of the command line.
-        names: Function that returns the joint names of the model file, to match patterns.
+        names: Function that returns the joint names of the model file, to match patterns; called
+            for patterns only.
 
     Returns:
         Positions by joint name [rad or m], None where the option states no position.
 
     Raises:
-        ModelError: A position is not a number, a pattern matches no joint or all joints, or a joint
-            has two positions.
+        ModelError: A name is empty, a position is not a number, a pattern matches no joint or all
+            joints, or a joint has two different positions.
     """
     lock: dict[str, float | None] = {}
     for text in texts:
@@ -126,15 +129,17 @@ def lock_positions(
 
     Args:
         joints: Range and coupling of every moving joint of the file, by name.
-        lock: Joints to be locked, with positions.
+        lock: Joints to be locked, with positions. None takes the position that the coupling
+            implies from the master's lock or rest position; without coupling, the rest position.
         source: File name, for messages.
 
     Returns:
-        Positions by name [rad or m], and diagnostics of followers off their couplings.
+        Positions by name [rad or m], masters before mimic joints; and diagnostics of locked mimic
+        joints whose master moves or implies another position.
 
     Raises:
         UnknownName: A joint to be locked is not in the file.
-        MimicError: A joint follows another that moves, and neither is locked.
+        MimicError: A mimic joint and its master are both not locked.
         ModelError: A position is no number or out of range, or couplings form a cycle.
     """
     for name in lock:
@@ -177,7 +182,9 @@ def lock_positions(
 def _follower_diagnostics(
     joints: Mapping[str, JointTravel], locked: Mapping[str, float]
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of locked followers whose master moves or implies another position.
+    """Diagnostics of locked mimic joints whose master moves or implies another position.
+
+    Another position is one that differs by more than _RANGE_TOLERANCE.
 
     Args:
         joints: Range and coupling of every moving joint of the file, by name.
@@ -203,6 +210,12 @@ def _checked_position(
     name: str, value: float, joint: JointTravel, source: str
 ) -> float:
     """Position of a locked joint as a finite number within the joint's range [rad or m].
+
+    Args:
+        name: Joint name, for messages.
+        value: Position as given [rad or m].
+        joint: Range of the joint, which may be exceeded by _RANGE_TOLERANCE.
+        source: File name, for messages.
 
     Raises:
         ModelError: The value is not finite, or out of the range.

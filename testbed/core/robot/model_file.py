@@ -85,7 +85,7 @@ def model_file_of(tree: Tree) -> ModelFile:
 
 
 def model_format(path: Path) -> Literal["mjcf", "urdf"]:
-    """Format of a model file, "mjcf" or "urdf", by the root element.
+    """Format of a model file, by the root element: "mjcf" for <mujoco>, "urdf" for <robot>.
 
     Raises:
         ModelError: The file is missing, not XML, or neither MJCF nor URDF.
@@ -113,14 +113,16 @@ def load_tree(
     """Read a robot from an MJCF or URDF file.
 
     Joints are revolute or prismatic; fixed joints are merged. Meshes do not matter, unless
-    an MJCF body takes its inertia from a mesh.
+    an MJCF body takes its inertia from a mesh. Rounded right angles are made exact
+    (`with_right_angles`); the tree's `diagnostics` name all accepted faults.
 
     Args:
         path: Model file; or name of a file that testbed ships, as "puma562.xml".
         weld_root: True to weld a floating root to the bedplate instead of raising an error.
         repair: Replacements of physically inconsistent inertias (links fixed to each other are one
-            body), such as the result of `nearest_bodies`; {} raises an error for such a file. None
-            takes the nearest consistent inertias and names them in the tree's `diagnostics`.
+            body), such as `nearest_consistent_bodies(path).bodies`; {} raises an error for such a
+            file. None takes the nearest consistent inertias and names them in the tree's
+            `diagnostics`.
         lock: Positions of locked joints, by name [rad or m]; their bodies become part of the
             carrying bodies. None is the rest position: zero, the middle of a range without zero,
             or the position that the master joint implies. Mimic joints of a locked master are
@@ -163,7 +165,7 @@ def nearest_consistent_bodies(
 
 
 def mimic_joints(path: str | Path) -> tuple[str, ...]:
-    """Names of the mimic joints of a model file.
+    """Names of the mimic joints with a master joint in a model file.
 
     `load_tree(path, lock=dict.fromkeys(mimic_joints(path)))` locks them at the positions that
     the rest positions of their master joints imply.
@@ -176,13 +178,17 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
 
 
 def readable_model(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
-    """Model file with root welded and joints locked as needed for a tree; the tree.
+    """Read a model file, with the root welded and joints locked as far as a tree requires.
+
+    A floating root is welded, all mimic joints are locked at the positions that their masters
+    imply, and the joints of a kinematic loop at their rest positions. Locks in `file` come first.
 
     Args:
         file: Model file with options of reading.
 
     Returns:
-        File with changed options, its tree, and names of the master joints of mimic joints.
+        File with changed options, its tree, and names of the master joints of mimic joints (empty
+        if no mimic joint had to be locked).
 
     Raises:
         ModelError: The file cannot be read, or holds unsupported elements.
@@ -216,7 +222,7 @@ def joint_names(path: str | Path) -> tuple[str, ...]:
 
 
 def _travels(path: Path) -> Mapping[str, JointTravel]:
-    """Range and coupling of every moving joint of a model file, by name."""
+    """Range and coupling of every moving joint of a model file, by name; of MJCF no ranges."""
     if model_format(path) == "mjcf":
         from testbed.core.robot.formats.mjcf_spec import mjcf_joint_travels
 
@@ -228,6 +234,8 @@ def _travels(path: Path) -> Mapping[str, JointTravel]:
 
 def check_tree(tree: Tree) -> None:
     """Check that names, placements, limits, gravity and inertias of a tree are valid.
+
+    The tree must have 1 to MAX_JOINTS joints with unique names.
 
     Raises:
         ModelError: A name or number is invalid; the message names the joint or body.
@@ -258,8 +266,8 @@ def check_tree(tree: Tree) -> None:
 def copy_model(path: Path, folder: Path) -> Path:
     """Copy a model file with the files that it refers to.
 
-    Relative positions of the files are kept, so that references stay valid. Missing files are
-    left out, and files that `asset_fault` rejects.
+    Relative positions of the files are kept, so that references stay valid. Missing files and files
+    with a `copy_obstacle` are left out.
 
     Args:
         path: Model file.
@@ -286,7 +294,9 @@ def copy_model(path: Path, folder: Path) -> Path:
 
 
 def referenced_files(path: Path) -> dict[Path, Path]:
-    """Files to copy with a model, and the folders that their names are relative to.
+    """Files to copy with a model, with the folder to which each file name is relative.
+
+    Files with a `copy_obstacle` are left out.
 
     Raises:
         ModelError: The model file cannot be read.
@@ -297,7 +307,7 @@ def referenced_files(path: Path) -> dict[Path, Path]:
 
 
 def _referenced_files(path: Path) -> Iterator[tuple[Path, Path, str | None]]:
-    """Files referenced by a model, folders of their names, and reasons not to copy."""
+    """Yield files referenced by a model, base folders, and obstacles to copying (or None)."""
     model = path.resolve()
     for file, base in (
         mjcf_references(path) if model_format(path) == "mjcf" else _urdf_meshes(path)
@@ -306,7 +316,7 @@ def _referenced_files(path: Path) -> Iterator[tuple[Path, Path, str | None]]:
 
 
 def _urdf_meshes(path: Path) -> Iterator[tuple[Path, Path]]:
-    """Existing visual meshes of a URDF file, and the folders of their names."""
+    """Yield existing visual meshes of a URDF file, with the base folders of their names."""
     for mesh in read_xml(path).iterfind("link/visual/geometry/mesh"):
         location = find_mesh(mesh.get("filename", ""), path)
         if location is not None:
@@ -315,10 +325,10 @@ def _urdf_meshes(path: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def find_mesh(name: str, model: Path) -> tuple[Path, Path] | None:
-    """Folder to which a mesh name is relative, and the mesh file; None if missing.
+    """Folder to which a URDF mesh name is relative, and the mesh file; None if missing.
 
-    package://PACKAGE/... is looked for below all folders above the model, with and without
-    the package's name.
+    A name package://PACKAGE/... is resolved below all folders above the model, nearest first, with
+    and then without the package's name; any other name below the model's folder.
 
     Args:
         name: Name in the model file.

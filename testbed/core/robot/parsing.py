@@ -59,8 +59,11 @@ _CONTROL_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
 def read_xml(path: Path) -> ET.Element:
     """Read an XML model file within the size limits and return the root element.
 
+    Limits are those of file size, of number and depth of elements, of attributes, and of names.
+
     Raises:
-        ModelError: The file does not exist, is not XML, or exceeds a limit.
+        ModelError: The file does not exist, is not XML, exceeds a limit, or holds malformed names;
+            the message starts with the path.
     """
     if not path.is_file():
         raise ModelError(missing_file_message(path, "model file"))
@@ -89,7 +92,7 @@ def read_xml(path: Path) -> ET.Element:
 
 
 def _parse_xml(path: Path) -> ET.Element:
-    """Parse XML without namespace processing: robot files may leave prefixes undeclared."""
+    """Parse XML without namespaces and return the root: robot files may use undeclared prefixes."""
     parser, builder = ParserCreate(), _LimitedTreeBuilder()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     with path.open("rb") as file:
@@ -99,7 +102,7 @@ def _parse_xml(path: Path) -> ET.Element:
 
 @contextmanager
 def prefix_model_errors(path: Path) -> Iterator[None]:
-    """Context manager that prefixes messages of `ModelError` with the file path.
+    """Prefix the messages of `ModelError` raised within a context with the file path.
 
     Subclasses of `ModelError` already contain the file name and pass unchanged.
     """
@@ -112,7 +115,7 @@ def prefix_model_errors(path: Path) -> Iterator[None]:
 
 
 def check_name(name: str, what: str) -> None:
-    """Check that a name is short and free of control characters.
+    """Check that a name has at most MAX_NAME_LENGTH characters and no control characters.
 
     Args:
         name: Name in the file.
@@ -140,7 +143,11 @@ class _LimitedTreeBuilder(ET.TreeBuilder):
         self._depth, self._count = 0, 0
 
     def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
-        """Open an element within the limits."""
+        """Open an element.
+
+        Raises:
+            ModelError: A limit is exceeded, or a name is malformed.
+        """
         self._depth, self._count = self._depth + 1, self._count + 1
         if self._depth > MAX_ELEMENT_DEPTH:
             raise ModelError(
@@ -166,8 +173,8 @@ class _LimitedTreeBuilder(ET.TreeBuilder):
 def parse_decimals(text: str, count: int) -> list[float] | None:
     """Parse a fixed number of finite decimal numbers; None for any other text.
 
-    One grammar for model files and options. Parsers differ in what they accept: Python takes "1_0"
-    and "nan", urdfdom drops a mass of "3 " without a message.
+    Model files and options share this grammar. Parsers differ in what they accept: Python takes
+    "1_0" and "nan", urdfdom drops a mass of "3 " without a message.
 
     Args:
         text: Numbers separated by blanks.

@@ -38,9 +38,9 @@ class Placeholders:
     """Placeholder inertias and friction of a model file, with reasons.
 
     Attributes:
-        links: Reasons by link.
+        links: Reasons by link, for links with placeholder inertias.
         friction: Reasons by kind of friction, "coulomb" or "viscous".
-        bodies: Indices of the tree's bodies with a considerable share of such links.
+        bodies: Indices of the tree's bodies with more than 10 % of their mass in such links.
     """
 
     links: Mapping[str, str]
@@ -49,7 +49,7 @@ class Placeholders:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostics of placeholder inertias and of placeholder friction."""
+        """Diagnostic of all placeholder inertias, and of placeholder friction, if any."""
         links = [f"'{name}' ({reason})" for name, reason in self.links.items()]
         diagnostics = (
             [make_diagnostic("model.placeholder", shortened_list(links))]
@@ -70,6 +70,10 @@ NO_PLACEHOLDERS = Placeholders({}, {})
 
 def find_placeholders(tree: Tree) -> Placeholders:
     """Find placeholder inertias and friction of a robot by form and size of the numbers.
+
+    An inertia is a placeholder if MIN_COUNT or more links, not all on one carrier, have the same
+    mass and moments, or for the reasons of `_reason`. Links below 0.1 % of the robot's mass are
+    ignored.
 
     Args:
         tree: Robot; without a model file its bodies are its links.
@@ -103,7 +107,7 @@ def find_placeholders(tree: Tree) -> Placeholders:
 
 
 class _Link(NamedTuple):
-    """Moving link: name, index of its body in the tree, inertia about the link frame."""
+    """Moving link: name, index of its body in the tree, inertia about and along its frame."""
 
     name: str
     body: int
@@ -145,6 +149,10 @@ def _rounded_moments(inertia: Inertia) -> tuple[float, ...]:
 def _reason(inertia: Inertia, length: float, reach: float) -> str:
     """Reason why an inertia is a placeholder; "" for a plausible inertia.
 
+    Reasons: equal moments that are a power of ten, mass and moments all of one significant digit,
+    radius of gyration above 2 lengths and MAX_RADIUS_RATIO times `reach`, or density of the box
+    with this inertia outside MIN_DENSITY ... MAX_DENSITY. Non-positive moments are no reason.
+
     Args:
         inertia: Inertia of the link.
         length: Length of the link's body [m].
@@ -182,9 +190,10 @@ def _has_one_digit(number: float) -> bool:
 
 
 def _friction_reasons(joints: tuple[Joint, ...]) -> Iterator[tuple[str, str]]:
-    """Kinds of friction with placeholder values, and the reasons.
+    """Yield the kinds of friction with placeholder values, with reasons.
 
-    One round value at 60 % of the joints with friction, or one value at all of MIN_COUNT or more.
+    A kind has placeholders if at least 60 % of the joints with such friction have the same value of
+    one significant digit, or if all joints with such friction, MIN_COUNT or more, have one value.
     """
     for kind in ("coulomb", "viscous"):
         values = [value for joint in joints if (value := getattr(joint, kind)) > 0]

@@ -8,7 +8,7 @@ from testbed.core.base.errors import MAX_LIST_WIDTH, ModelError, shortened_list
 
 
 class InertiaError(ModelError):
-    """Physically inconsistent link inertias; `flaws` holds a line for each link."""
+    """Error of physically inconsistent link inertias; `flaws` holds a line for each link."""
 
     def __init__(self, source: str, flaws: Sequence[str]) -> None:
         self.flaws = tuple(flaws)
@@ -20,7 +20,7 @@ class InertiaError(ModelError):
 
 
 class FreeRootError(ModelError):
-    """Floating root of a robot; `joint` holds the name of the free joint."""
+    """Error of a floating root of a robot; `joint` holds the name of the free joint."""
 
     def __init__(self, source: str, joint: str) -> None:
         self.joint = joint
@@ -32,7 +32,7 @@ class FreeRootError(ModelError):
 
 
 class MimicError(ModelError):
-    """Mimic joints that are not locked; `masters` holds the master joint by mimic joint."""
+    """Error of mimic joints that are not locked; `masters` holds the master by mimic joint."""
 
     def __init__(
         self, source: str, masters: Mapping[str, str], hold: Sequence[str]
@@ -53,7 +53,7 @@ class MimicError(ModelError):
 
 
 class LoopError(ModelError):
-    """Constraint that closes a kinematic loop; `joints` holds rest positions along the loop."""
+    """Error of a constraint that closes a loop; `joints` holds rest positions along the loop."""
 
     def __init__(
         self, source: str, constraint: str, joints: Mapping[str, float]

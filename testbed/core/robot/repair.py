@@ -118,17 +118,21 @@ def repair_inertias(
 ) -> Repair:
     """Replace inertias that are physically inconsistent or out of proportion to the robot.
 
+    Links fixed to each other are lumped. An inconsistent body or a massless chain end gets the
+    nearest consistent inertia, a moving body out of proportion (`_out_of_scale`) the average of the
+    other bodies. The inertia is assigned to the carrier, links fixed to it become massless.
+
     Args:
         links: All links of the file, carriers before what they carry.
-        suspects: Flaws of single links, by name.
+        suspects: Flaws of single links, by name; only their lumped bodies are checked.
         parents: Parent indices of the tree's bodies, to find massless chain ends; () for no search.
-        replacements: Inertias in place of the file's, as in `Repair.bodies`; other flaws are errors
-            then. None takes the nearest consistent inertias.
+        replacements: Inertias in place of the file's, as in `Repair.bodies`; other flaws beyond
+            rounding are errors then. None takes the nearest consistent inertias.
         source: File name, for messages.
         reach: Sum of the distances from joint to joint [m].
 
     Raises:
-        InertiaError: `replacements` hold no inertia for an inconsistent body.
+        InertiaError: `replacements` hold no consistent inertia for an inconsistent body.
         ModelError: A mass is negative or a number is not finite: no nearest body exists.
         UnknownName: A replacement is for an unknown link or a link fixed to another.
     """
@@ -183,7 +187,7 @@ def repair_inertias(
 def _flaws(
     bodies: InertiasByLink, link_flaws: Mapping[str, str], source: str
 ) -> dict[str, str]:
-    """Reasons why lumped bodies are physically inconsistent, by name.
+    """Reasons why lumped bodies are physically inconsistent, by name; only inconsistent bodies.
 
     Args:
         bodies: Lumped bodies by name.
@@ -209,7 +213,10 @@ def _diagnostics(
     rounding_names: Iterable[str],
     flaw_names: Iterable[str],
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of bodies out of proportion, with rounding errors, and with larger errors.
+    """Yield diagnostics of bodies out of proportion, with rounding errors, with larger errors.
+
+    One per body out of proportion, one for all bodies with rounding errors, one for all with larger
+    errors.
 
     Args:
         scale_messages: Messages for bodies out of proportion.
@@ -238,7 +245,7 @@ class _RobotScale:
 
     @staticmethod
     def of_bodies(bodies: Iterable[Inertia]) -> _RobotScale:
-        """Scale of a robot from its bodies; one in place of zero."""
+        """Scale of a robot from its bodies; a mass or length of zero is replaced by unity."""
         heavy = [body for body in bodies if body.mass > 0]
         reach = max([0.0, *(body.radius for body in heavy)])
         return _RobotScale(sum(body.mass for body in heavy) or 1.0, reach or 1.0)
@@ -251,6 +258,9 @@ class _RobotScale:
 
     def is_rounding(self, old: Inertia, new: Inertia) -> bool:
         """Test whether an inertia changes by no more than rounding.
+
+        The mass is unchanged, and the pseudo-inertia changes by at most 1e-4 of the greatest
+        central second moment or 1e-9 of the robot's mass times `reach` squared.
 
         Args:
             old: Inertia before the repair.
@@ -272,6 +282,10 @@ def _out_of_scale(
     bodies: InertiasByLink, reach: float
 ) -> tuple[Inertia, dict[str, str]]:
     """Average body, and messages for bodies out of proportion to the robot, by name.
+
+    Out of proportion are a mass below 1e-7 of the median or above 1e4 kg/m^3 times L^3, and a
+    radius of gyration above 10 L, with the length L = max(reach, 1 m). The average body is a ball
+    around its frame's origin with the mean mass and mean radius of gyration of the other bodies.
 
     Args:
         bodies: Moving lumped bodies by name.
@@ -306,7 +320,7 @@ _MESSAGE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g
 
 
 def _lumped_inertia(carrier: ModelLink, *others: ModelLink) -> Inertia:
-    """Inertia of a link and all links fixed to it, in the link's frame.
+    """Inertia of a link and all links fixed to it, about and along the link's frame.
 
     Without massive fixed links the link's inertia is unchanged to the last bit.
 
@@ -324,7 +338,11 @@ def _lumped_inertia(carrier: ModelLink, *others: ModelLink) -> Inertia:
 def _body_flaw(name: str, body: Inertia) -> str | None:
     """Reason why a lumped body is physically inconsistent; None if consistent.
 
-    Central moments that are rounding of the moments about the frame count as zero.
+    Central moments below POINT_MASS_TOLERANCE times the moments about the frame count as zero.
+
+    Args:
+        name: Name of the carrier link, for the message.
+        body: Inertia about and along the carrier link's frame.
     """
     central = body.central
     if np.abs(central).max() <= POINT_MASS_TOLERANCE * np.abs(body.tensor).max():
@@ -335,9 +353,10 @@ def _body_flaw(name: str, body: Inertia) -> str | None:
 def _massless_ends(
     links: Sequence[ModelLink], bodies: InertiasByLink, parents: Sequence[int]
 ) -> Iterator[tuple[str, str]]:
-    """Moving bodies without mass at chain ends, and the flaw of each.
+    """Yield the carrier links of massless moving bodies at chain ends, with the flaw.
 
-    Neither such a body nor any body that it carries has mass, while some body of the tree has.
+    Neither such a body nor any body that it carries has an inertia, while another body of the tree
+    has.
 
     Args:
         links: All links of the file, carriers before what they carry.

@@ -26,8 +26,10 @@ MIN_ROUNDING_ANGLE = 1e-12
 def with_right_angles(tree: Tree) -> Tree:
     """Tree whose rounded joint rotations have exact right or zero angles.
 
-    An angle within MAX_ROUNDING_ANGLE of a right or zero angle is taken as such; a diagnostic names
-    the joints with a new rotation.
+    Angles are those between the frames of a joint's body and its carrying body, or between the axes
+    of a joint and the joint before (gravity for the first joint). An angle within
+    MAX_ROUNDING_ANGLE of a right or zero angle is taken as such; a diagnostic names the joints with
+    a new rotation.
 
     Args:
         tree: Robot as read from the file.
@@ -51,13 +53,16 @@ def with_right_angles(tree: Tree) -> Tree:
 
 
 def _right_angle_rotations(joint: Joint, previous_axis: Array) -> Iterator[Array]:
-    """Exact rotations R_PB near a joint's rotation, (3, 3); the first is preferred.
+    """Yield exact rotations R_PB near a joint's rotation, (3, 3), in order of preference.
 
-    Empty if no angle is close to a right or zero angle, or all such angles are exact.
+    First the rotation rounded to right angles between all axes of the frames; then the rotation
+    with the joint axis exactly parallel or normal to `previous_axis`. Each only if its deviation is
+    between MIN_ROUNDING_ANGLE and MAX_ROUNDING_ANGLE.
 
     Args:
         joint: Joint of body B on body P.
-        previous_axis: Axis of the joint that moves body P, or gravity's direction, along P, (3,).
+        previous_axis: Axis of the joint that moves body P, or gravity's direction; unit vector in
+            frame P, (3,).
     """
     R_PB, axis_P = joint.rotation, joint.carried_axis
     square = np.round(R_PB)

@@ -24,15 +24,17 @@ def nearest_consistent_inertia(
 
     The central second-moment matrix is projected, in the Frobenius norm, onto matrices whose
     eigenvalues are at least a share of the largest. A point mass becomes a ball around its mass
-    centre. A massless body gets a mass at its frame's origin.
+    centre, with radius of gyration POINT_MASS_RADIUS_RATIO times its distance from the frame's
+    origin. A massless body gets a mass at its frame's origin.
 
     Source    [WKS18] for the condition; the shares are our own choice.
 
     Args:
-        body: Inertia as read from a file.
+        body: Inertia as read from a file, about and along the body's frame.
         min_moment_ratio: Least ratio of a principal second moment to the greatest.
         mass: Mass for a massless body [kg].
-        reach: Length of the robot, for a point mass at its frame's origin [m].
+        reach: Length of the robot, in place of the distance of a point mass at its frame's origin
+            [m].
     """
     if body.mass <= 0:
         body = Inertia(mass, np.zeros(3), body.tensor)
@@ -50,7 +52,8 @@ def nearest_consistent_inertia(
 def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:
     """Reason why no rigid body has a link's mass and inertia; None if physically consistent.
 
-    A link with ten zero parameters is accepted: files use such links as frames.
+    Consistent are a mass and moments above zero that satisfy the triangle inequality (slack 1e-9).
+    A link with zero mass and inertia is accepted: files use such links as frames.
 
     Args:
         link: Link name, for the message.

@@ -23,7 +23,7 @@ def rpy_to_matrix(rpy: ArrayLike) -> Array:
 
 
 def matrix_to_rpy(R: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation matrix [rad].
+    """Roll, pitch and yaw of a rotation matrix about fixed axes x, y, z [rad].
 
     In gimbal lock (pitch a right angle), roll is zero and yaw is the whole rotation.
 
@@ -60,7 +60,7 @@ def matrix_to_quaternion(R: Array) -> Array:
 
 
 def joint_displacement(axis: Array, q: float, *, revolute: bool) -> Transform:
-    """Pose of a body after the displacement q of its joint, in the joint's frame.
+    """Pose of a body after the displacement q of its joint, relative to its pose at q = 0.
 
     Args:
         axis: Unit vector of the joint axis, (3,).

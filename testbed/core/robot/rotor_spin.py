@@ -17,8 +17,8 @@ def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
     """Tree with the angular momentum of spinning rotors added to the bodies' inertias.
 
     About the joint axis, gear ratio times rotor inertia is added to the inertia of the joint's
-    body, and subtracted from that of the carrying body and from the joint's `rotor_inertia`. The
-    minimal parameters of this tree then contain the gyroscopic effect.
+    body, and subtracted from the inertia of the carrying body and from the joint's `rotor_inertia`.
+    The minimal parameters of this tree then contain the gyroscopic effect.
 
     Args:
         tree: Robot whose rotors are fixed to the carrying bodies.

@@ -21,8 +21,8 @@ def with_shafts(tree: Tree, shafts: ShaftRatios) -> Tree:
 
     Args:
         tree: Robot.
-        shafts: Turns of the shaft per turn of the joint, by shaft and joint; they replace the
-            shafts of the tree.
+        shafts: Turns of the shaft per turn of the joint, by shaft and joint; these shafts replace
+            those of the tree.
 
     Raises:
         UnknownName: No joint has the name.
@@ -57,8 +57,8 @@ def joint_and_shaft_names(tree: Tree) -> tuple[str, ...]:
 def transmission_matrix(tree: Tree) -> Array:
     """Transmission ratios of joints and shafts to the joints, (n + shafts, n).
 
-    Row k holds the turns of place k, of `places`, per turn of each joint: the identity for the
-    joints, followed by the ratios of the shafts.
+    Row k holds the turns of the joint or shaft with index k in `joint_and_shaft_names` per turn of
+    each joint: the identity for the joints, followed by the ratios of the shafts.
     """
     ratios = np.eye(tree.n + len(tree.shafts), tree.n)
     for row, shaft in zip(ratios[tree.n :], tree.shafts, strict=True):
@@ -72,8 +72,9 @@ def _check_shaft(tree: Tree, name: str, turns: Mapping[str, float]) -> None:
     """Check the name, the ratios and the joint kinds of a shaft.
 
     Raises:
-        ModelError: The name is taken or malformed, a ratio is zero or not finite, fewer than two
-            joints are coupled, or revolute with prismatic joints.
+        UnknownName: No joint has the name.
+        ModelError: The name is a joint's, empty or contains "/", a ratio is zero or not finite,
+            fewer than two joints are coupled, or revolute with prismatic joints.
     """
     label = f"robot.coupling: shaft '{name}'"
     if name in tree.names or not name or "/" in name:

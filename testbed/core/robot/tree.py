@@ -113,13 +113,13 @@ class Joint(Value):
         return axis
 
     def flaw(self) -> str | None:
-        """First invalid property of the joint, in words that follow "has"; None if valid."""
+        """First invalid property of the joint, worded to follow "has"; None if valid."""
         return next(self._flaws(), None)
 
     def _flaws(self) -> Iterator[str]:
-        """Descriptions of invalid properties: placement, axis, limits, friction, rotor inertia.
+        """Yield invalid properties: placement, axis, limits, friction, rotor inertia.
 
-        Later entries may be consequences of the first.
+        Worded to follow "has"; later entries may be consequences of the first.
         """
         placement = np.concatenate([self.offset, self.rotation.ravel(), self.axis])
         if not np.isfinite(placement).all():
@@ -220,8 +220,9 @@ class ModelSource(Value):
     Attributes:
         path: MJCF or URDF file.
         weld_root: True to weld a floating root to the bedplate.
-        repair: Replacements of physically inconsistent inertias, by the link that carries them; {}
-            rejects such a file, None takes the nearest consistent inertias.
+        repair: Replacements of physically inconsistent inertias of lumped bodies, by the link to
+            which the others are fixed; {} rejects such a file, None takes the nearest consistent
+            inertias.
         lock: Positions of locked joints [rad or m]; None for the rest position of the joint.
     """
 
@@ -249,7 +250,7 @@ class Tree(Diagnosed, Value):
         sensor: Placement of the force sensor on the base; None for the bedplate.
         cuts: Placements of the next force sensors; the links beyond are not part of the tree, as
             their wrench is measured.
-        bare: Indices of bodies without mass, whose links all lie beyond such a sensor.
+        bare: Indices of massless bodies, whose links are all beyond a sensor of `cuts`.
         file: Model file that the tree was read from, if any.
     """
 
@@ -285,7 +286,7 @@ class Tree(Diagnosed, Value):
 
     @property
     def summary(self) -> SummaryTable:
-        """Table of joints with kinds, bodies and masses."""
+        """Table of joints with kinds, bodies and masses, for display."""
         rows = [
             (joint.name, joint.kind, joint.body, f"{body.mass:.4g} kg")
             for joint, body in zip(self.joints, self.inertias, strict=True)
@@ -346,14 +347,15 @@ class Tree(Diagnosed, Value):
         return tuple(poses)
 
     def gravity_or(self, gravity: ArrayLike | None) -> Array:
-        """Gravity vector, checked; the model file's for None, (3,) [m/s^2], bedplate frame.
+        """Gravity vector, checked; the tree's for None, (3,) [m/s^2], bedplate frame.
 
         Args:
-            gravity: Three numbers [m/s^2], a text as of `MOUNTINGS`, or None.
+            gravity: Three numbers [m/s^2], a text for `parse_gravity`, or None.
 
         Raises:
-            ModelError: The value is not three finite numbers, or implausibly small or large.
-            SettingsError: The text is not one of `MOUNTINGS`.
+            ModelError: The value is not three finite numbers, or its size is neither zero nor
+                between MIN_GRAVITY and MAX_GRAVITY.
+            SettingsError: The text is neither three numbers nor a key of GRAVITY_BY_MOUNTING.
         """
         vector = _float_array(
             parse_gravity(self.gravity if gravity is None else gravity), (3,)
@@ -374,10 +376,10 @@ class Tree(Diagnosed, Value):
         """Tree with another gravity vector.
 
         Args:
-            gravity: Gravity, (3,) [m/s^2], bedplate frame; None keeps the model file's.
+            gravity: Gravity, (3,) [m/s^2], bedplate frame; None keeps the tree's.
 
         Raises:
-            ModelError: The value is not three finite numbers, or implausibly small or large.
+            ModelError: The value is invalid for `gravity_or`.
         """
         return replace(self, gravity=self.gravity_or(gravity))
 

@@ -33,6 +33,7 @@ def write_paper_notation(listing: Listing, source: str) -> str:
 
     qp2 and qpp2 are the velocity and acceleration of joint 2, S223 is sin(2 q2 + q3). Lines
     that begin with * are comments; lines that begin with a blank continue the previous line.
+    Entries of a mass matrix or regressor that are zero are left out.
     """
     lines = [f"* {line}".rstrip() for line in header_lines(listing, source)]
     lines += [f"* {name} = {value:.12g}" for name, value, _ in used_constants(listing)]
@@ -46,7 +47,10 @@ def write_paper_notation(listing: Listing, source: str) -> str:
 
 
 def _definition_lines(listing: Listing) -> list[str]:
-    """Lines that define the barycentric parameters, or the minimal parameters by these."""
+    """Lines that define the barycentric parameters in the full form, else minimal parameters.
+
+    The latter are comments with formulas in the barycentric parameters.
+    """
     lines = []
     if listing.form == "full":
         lines += ["", "* Barycentric masses, moments and tensors"]
@@ -105,7 +109,14 @@ def write_latex(listing: Listing, source: str) -> str:
 
 
 def _equation_rows(each: Equations, joints: int) -> str:
-    """Rows of an align environment for one kind of equations."""
+    """Rows of an align environment for one kind of equations, with three terms a row.
+
+    Entries of a mass matrix or regressor that are zero are left out.
+
+    Args:
+        each: Equations of the kind.
+        joints: Number of joints.
+    """
     labels = {p.symbol: p.label.without_multiple for p in each.parameters if p.symbol}
     names = {
         symbol: rf"\left({label.latex}\right)" if len(label.terms) > 1 else label.latex

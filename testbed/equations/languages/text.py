@@ -52,7 +52,7 @@ def decimal(value: Number) -> str:
 
 
 def fraction(value: Number) -> str:
-    """Text of a number: a fraction with a small denominator, or an exact decimal."""
+    """Text of a number: fraction with a denominator up to 64, or an exact decimal."""
     if (
         isinstance(value, float)
         and value == (as_fraction := Fraction(value))
@@ -68,6 +68,8 @@ PROGRAM_STYLE = Notation(lambda factor: factor.name, decimal, plus_first=True)
 
 def term_texts(value: Expression, style: Notation) -> list[str]:
     """Texts of the terms of an expression with signs, without a leading plus.
+
+    Joint forces such as Q3 come first; with `style.plus_first` positive terms instead.
 
     Args:
         value: The expression.
@@ -150,7 +152,10 @@ def header_and_definitions(listing: Listing, source: str) -> list[str]:
 
 
 def header_lines(listing: Listing, source: str) -> Iterator[str]:
-    """Lines about robot, gravity, joints and operation counts, without comment signs."""
+    """Yield lines about robot, gravity, joints and operation counts, without comment signs.
+
+    Notes of joints that are nearly at right angles, and the number of known zeros, are included.
+    """
     tree, g = listing.tree, listing.gravity
     yield f"Equations of {sanitized_text(tree.name)}, {listing.form} form, by testbed"
     if source:
@@ -173,7 +178,10 @@ def header_lines(listing: Listing, source: str) -> Iterator[str]:
 
 
 def definitions(listing: Listing) -> Iterator[str]:
-    """Lines that define the minimal by the barycentric parameters."""
+    """Yield lines that define the minimal by the barycentric parameters, without comment signs.
+
+    No lines for the full form.
+    """
     for model, minimal in listing.minimal.items():
         yield f"Parameters of the {model} model, delta_{model[0]}:"
         yield from (f"  {line}" for line in (*minimal.auxiliary, *minimal.formulas))
@@ -213,7 +221,8 @@ def function_name(each: Equations) -> str:
 def input_variables(each: Equations) -> Iterator[tuple[str, str]]:
     """Input variables of a generated function: name and defining expression.
 
-    For example qp1 and qp[0], K3d and delta_d[2] / 2, S2 and sin(q2).
+    For example qp1 and qp[0], K3d and delta_d[2] / 2, S2 and sin(q2). Only variables that the
+    program uses.
     """
     program = each.program
     for symbol in program.symbols:

@@ -160,8 +160,8 @@ def assess_recording(
     """Check a recording against its robot, by force plate and joint torques.
 
     Spikes end the check. With a force plate, hypotheses on errors of the mapping are searched on
-    signals below 8 Hz, and below 2 Hz if the plate remains unexplained. Torques without a force
-    plate are compared by Bayesian evidence (`assess_torques`).
+    signals below 8 Hz, and below 2 Hz if the plate remains unexplained. Joint torques, with or
+    without a plate, are tested by Bayesian evidence (`assess_torques`).
 
     Args:
         tree: Robot, its masses right within a factor of a few.

@@ -153,7 +153,7 @@ def check_recording(
 
 
 def _base_motion_diagnostics(source: Source) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if the base of a robot with a welded base moves by over 5 mm.
+    """Yield a diagnostic if a base that the model welds moves by over 5 mm.
 
     The motion is the diagonal of the box that contains all positions of the base.
     """
@@ -242,7 +242,7 @@ def _alignment_lines(offsets: Sequence[TimeOffset], source: Source) -> list[Any]
 
 
 def digest(tree: Tree, source: Source) -> str:
-    """SHA-256 hash of the data, mapping and robot on which the result of a check depends.
+    """SHA-256 hash of data, mapping and robot, on which a check's result depends.
 
     Args:
         tree: Robot.

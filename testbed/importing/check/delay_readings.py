@@ -36,7 +36,7 @@ class Delay(NamedTuple):
         value: Delay [s].
         sigma: Standard deviation [s].
         is_significant: True if the delay exceeds 3 standard deviations and has the sign of at least
-            3 and 70 % of the estimates (two per joint).
+            3, and 70 %, of the estimates (two per joint).
     """
 
     value: float

@@ -192,6 +192,7 @@ def with_tare(draft: MappingDraft, tare: list[float], note: str) -> MappingDraft
     Args:
         draft: Draft of the mapping.
         tare: Wrench on the plate without the robot, pedestal included, (6,) [N, N m].
+        note: Comment beside the value.
     """
     included = draft.tables["wrench"].get("pedestal") == "included"
     draft = draft.with_key("wrench", "pedestal", None) if included else draft

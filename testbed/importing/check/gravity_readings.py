@@ -317,8 +317,8 @@ def with_dispersion(case: TorqueCase, reading: LogReading) -> LogReading:
     """Reading with standard deviations increased by the dispersion between joints.
 
     Jackknife: the direction estimated without each joint is compared with the direction from all
-    joints. The variance is multiplied by 1.6 times the mean normalised square of these shifts, or by
-    1.6 if that mean is below one.
+    joints. The variance is multiplied by 1.6, and by the mean normalised square of these shifts if
+    that is above one.
 
     Args:
         case: Joint torques of a log, with robot and prior.

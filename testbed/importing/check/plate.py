@@ -1,10 +1,9 @@
 """Hypotheses on a force plate's frame, units and columns, and their fit to its data.
 
-For one order of columns, a mapping defines a plate by a rotation, an origin, units, and a delay.
-Gauss-Newton steps on these (`PlateRows.fit`), started from the least-squares alignment with the
-wrench predicted by the model file (Wahba's problem) and from the mapping's frame, find the
-rotation. Pairs of units with a similar ratio are tried; a rotation near rounded angles, or near the
-mapping's frame, is rounded to these.
+For one order of columns, rotation, origin, units and delay define a plate. Gauss-Newton steps on
+these (`PlateRows.fit`), from the least-squares alignment with the model file's wrench (Wahba's
+problem) and from the mapping's frame, find the rotation. Pairs of units with a similar ratio are
+tried; a rotation near rounded angles, or near the mapping's frame, is rounded to these.
 """
 
 from __future__ import annotations
@@ -111,7 +110,7 @@ def plate_hypotheses(
 ) -> Iterator[MapHypothesis]:
     """Yield the rotations and units that explain a plate best, for one order of columns.
 
-    The sense is the sign of the model file's wrench; shift and delay are fitted for each map.
+    Units are within 10 % of the fitted ratio; shift, delay and sense are fitted later for each map.
     """
     starts = [*_aligned_rotations(plate, frame, order), frame.rotation]
     rotation, ratio, sigma, _ = min(
@@ -206,7 +205,7 @@ class PlateExplanation:
     cost: float
 
     def is_explained(self, share: float = EXPLAINED_SHARE) -> bool:
-        """Test whether all channels' residuals are small, apart from noise: at most `share`."""
+        """Test whether each channel's unexplained share is below `share` plus 3 times its noise."""
         return bool((self.unexplained < share + 3 * self.noise).all())
 
 
@@ -270,7 +269,10 @@ class PlateEvidence:
         return self._rows.least_residual_share if self.has_wrench else 0.0
 
     def has_crosstalk(self, unexplained: Array) -> bool:
-        """Test for crosstalk: whether a full linear map leaves far less `unexplained`, (6,)."""
+        """Test for crosstalk: a full linear map leaves far less than `unexplained`, (6,).
+
+        Far less: below `CROSSTALK_SHARE`, and below a tenth of the channels' mean.
+        """
         return self.least_residual_share < min(
             CROSSTALK_SHARE, float(unexplained.mean()) / CROSSTALK_RATIO
         )
@@ -293,7 +295,7 @@ class PlateEvidence:
 
     @cached_property
     def explanations(self) -> list[PlateExplanation]:
-        """Explanations by the best rotations and units; in other column orders if needed."""
+        """Explanations by best rotations and units; if unexplained, in other column orders, too."""
         if not self.has_wrench:
             return [NO_PLATE]
         plate, frame = self._rows, self._frame
@@ -311,7 +313,7 @@ class PlateEvidence:
     def _ranked_explanations(
         self, candidates: Iterable[MapHypothesis]
     ) -> list[PlateExplanation]:
-        """Explanations by maps with fitted shift and delay, sorted by cost."""
+        """Up to 40 explanations by maps with fitted shift, delay and sense, sorted by cost."""
         ranked = []
         for known, matrix in candidates:
             fit, hypotheses = self._rows.fit(matrix), list(known)
@@ -408,7 +410,7 @@ class PlateEvidence:
     def zero_wrench(self, explanation: PlateExplanation) -> tuple[Array, Array]:
         """Wrench on the plate without the moving bodies, and standard deviation, (6,) [N, N m].
 
-        The robot's part has the parameters of `posterior`; no motion identifies its weight.
+        The moving bodies' part is predicted by `posterior`; no motion identifies their weight.
         """
         mean, root, _ = self.posterior(explanation)
         residual = self.wrench(explanation) - self.rows @ mean
@@ -419,13 +421,12 @@ class PlateEvidence:
     def frame_correction(self, explanation: PlateExplanation) -> tuple[Array, Array]:
         """Small corrections of a plate's frame, delay and gain ratio, with covariance.
 
-        Near the true mapping, w = Y delta + b - sum x_e S_e w - late dw/dt + noise: rotation,
-        shift, ratio (S_e, `SLOPES`) and delay enter linearly. They are estimated together with the
-        parameters, the model file as prior; w on the right-hand side is the last iteration's
-        prediction, so that its noise causes no bias. Residuals are not white: all signals are
-        transformed by the discrete cosine transform, and each frequency of a channel is weighted by
-        the residuals around it. A prior from which the data depart is widened (`MAX_PRIOR_FACTOR`);
-        an undetermined coordinate of the origin is set to zero.
+        Near the true mapping, the wrench is w = Y delta + b - sum x_e S_e w - late dw/dt + noise,
+        with regressor Y, parameters delta (prior: model file), constants b, and corrections x_e
+        (S_e: `MAP_DERIVATIVES`); w on the right is the last prediction, so that noise causes no
+        bias. Residuals are not white: after a discrete cosine transform, each frequency of a
+        channel is weighted by the residuals around it. A prior from which the data depart is
+        widened (`MAX_PRIOR_FACTOR`); an undetermined coordinate of the origin is set to zero.
 
         Args:
             explanation: Explanation of the plate, without hypotheses on the plate.
@@ -471,7 +472,7 @@ class PlateEvidence:
     def _with_known_origin(
         self, values: Array, covariance: Array
     ) -> tuple[Array, Array]:
-        """Correction with undetermined coordinates of the origin at zero, and covariance."""
+        """Correction with origin coordinates of a sigma above 2 cm at zero, and covariance."""
         free = [k for k in SHIFT_INDICES if covariance[k, k] > MAX_ORIGIN_SIGMA**2]
         gain = np.linalg.solve(covariance[np.ix_(free, free)], covariance[free])
         return values - (values[free] + self._frame.origin[free]) @ gain, covariance

@@ -65,7 +65,7 @@ class PlateFrame:
 
 
 def plate_frame_of(mapping: Mapping[str, Any]) -> PlateFrame:
-    """Frame and units of a mapping's only force plate; the bedplate frame in SI otherwise.
+    """Frame and units of a mapping's only force plate; otherwise bedplate frame and SI.
 
     Args:
         mapping: Content of the recording's mapping file; empty without a mapping.

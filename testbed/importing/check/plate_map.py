@@ -198,7 +198,7 @@ class PlateRows:
         )
 
     def gain_ratio(self, matrix: Array) -> float:
-        """Factor on moments for the model file's ratio of moments to forces.
+        """Factor on moments for the model file's rms ratio of moments to forces.
 
         Args:
             matrix: Map of the channels, (6, 6).
@@ -214,7 +214,10 @@ class PlateRows:
 
     @cached_property
     def least_residual_share(self) -> float:
-        """Least residual share over all linear maps of channels and derivatives."""
+        """Least residual share over all linear maps of channels and derivatives.
+
+        It is the least generalised eigenvalue of the products of residuals and of signals.
+        """
         from scipy.linalg import eigh as generalized
 
         total = np.kron(np.diag(self.weight**2), self._covariance).astype(np.float64)
@@ -226,7 +229,11 @@ class PlateRows:
 
 
 def _residual_sigma(instants: Instants) -> Array:
-    """Standard deviations of the channels' residuals, relative to forces or moments, (6,)."""
+    """Standard deviations of the channels' residuals, relative to forces or moments, (6,).
+
+    1e-3 if noise is below 10 % of the variance of forces and of moments; otherwise of model errors
+    and correlated noise.
+    """
     variance = _force_moment_means(instants.wrench.var(axis=0))
     noise = _force_moment_means(instants.wrench_noise) / np.maximum(variance, 1e-30)
     if noise.max() < NOISY_SHARE:
@@ -235,7 +242,7 @@ def _residual_sigma(instants: Instants) -> Array:
 
 
 def _limited_variance(variance: Array) -> Array:
-    """Variances of channels, (6,), at least a part of the mean of forces or moments."""
+    """Variances of channels, (6,), at least 2 % of the mean over forces, or over moments."""
     mean = np.repeat(_force_moment_means(variance), 3)
     return np.maximum(variance, np.maximum(MIN_VARIANCE_SHARE * mean, 1e-300))
 

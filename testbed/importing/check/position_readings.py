@@ -43,7 +43,9 @@ MAX_READINGS = 6
 
 
 def position_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
-    """Yield the likeliest readings with other joint positions.
+    """Yield the likeliest readings with other position units, signs, zeros or orders of joints.
+
+    The six largest log posteriors at 80 instants, in decreasing order, evaluated at all instants.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -61,7 +63,11 @@ def position_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRe
 def _position_hypotheses(
     case: TorqueCase, joints: Sequence[int]
 ) -> Iterator[tuple[tuple[Hypothesis, ...], float, str]]:
-    """Yield hypotheses on positions, with log prior odds [nats] and name of the family."""
+    """Yield hypotheses on positions, with log prior odds [nats] and name of the family.
+
+    Degrees or radians taken for each other; signs, alone or with the torque's; zeros by 90 or 180
+    deg; orders of joints, alone or with the torques'. Units alone for robots with many joints.
+    """
     tree, q = case.tree, case.signals.q
     turning = [k for k in joints_without_free_base(tree) if tree.joints[k].revolute]
     if turning and np.abs(q[:, turning]).max() > DEGREES_THRESHOLD:

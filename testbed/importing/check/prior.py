@@ -26,6 +26,9 @@ light links."""
 class ScaledPrior:
     """Prior of the barycentric parameters: mean and root of the covariance.
 
+    Each body has mass, first moments x, y, z, and tensor xx, xy, xz, yy, yz, zz, in its frame and
+    augmented by the masses that it carries [FRS96].
+
     Attributes:
         tree: Robot, its masses roughly right.
     """
@@ -42,7 +45,8 @@ class ScaledPrior:
         """Root of the prior covariance of the barycentric parameters, (10 n, 10 n).
 
         Standard deviations: 40 % of masses; 3 cm and 40 % of the distance from the joint for
-        centres of mass.
+        centres of mass; 40 % of inertias and mass times that length squared. Bodies below 10 % of
+        the robot's mass vary like bodies of 10 %.
         """
         own = standard(self.tree)
         file, moments, tensor = own[:, :1], own[:, 1:4], own[:, 4:]

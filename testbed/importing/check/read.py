@@ -43,7 +43,11 @@ def read(path: str | Path, robot: Tree) -> Recording:
 
 
 def _solved_recording(path: Path, robot: Tree) -> Recording:
-    """Longest recording of a log, with its mapping solved from names and data."""
+    """Longest recording of a log, with its mapping solved from names and data.
+
+    Raises:
+        RecordingError: Columns or a clock are not found, or the data contradict the robot.
+    """
     mapping_path = path.parent / MAPPING_NAME
     draft, _, tree = draft_mapping([path], path.parent, model_file_of(robot))
     solution = solve_mapping(draft, mapping_path, tree)

@@ -76,6 +76,9 @@ def percentage(part: float) -> str:
 def check_spikes(recording: Recording) -> Iterator[Diagnostic]:
     """Yield a diagnostic for each channel with a few samples far outside all others.
 
+    Far: over two ranges beyond the channel's quantiles (0.1 %, or 5 samples, at either end); few:
+    no two of these samples are 3 samples apart.
+
     Args:
         recording: Recording, or a part of it.
     """
@@ -110,7 +113,7 @@ def check_spikes(recording: Recording) -> Iterator[Diagnostic]:
 
 
 def check_position_ranges(tree: Tree, position: Array) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if positions exceed a joint's range by more than its width.
+    """Yield a diagnostic if positions exceed a joint's range by more than the range's width.
 
     Args:
         tree: Robot.
@@ -164,12 +167,13 @@ def check_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
 def check_still_joints(
     tree: Tree, instants: Instants, unexplained: Array
 ) -> Iterator[Diagnostic]:
-    """Yield a diagnostic of joints at rest, first of joints whose torques show motion.
+    """Yield a diagnostic of resting joints whose torques show motion, else of resting joints.
 
     Args:
         tree: Robot.
         instants: Low-passed signals of the recording.
-        unexplained: Unexplained shares of the torques' variance, (n,) or (0,).
+        unexplained: Unexplained shares of the torques' variance, (n,) or (0,); above 0.1 a torque
+            shows motion.
     """
     position = instants.motion.q
     still = [
@@ -193,6 +197,8 @@ def check_still_joints(
 def check_plate_residual(best: Explanation) -> Iterator[Diagnostic]:
     """Yield a diagnostic if no hypothesis explains the force plate's channels.
 
+    A warning above 0.3 % of unexplained variance beyond 3 times the noise, an error above 5 %.
+
     Args:
         best: Best explanation of the recording.
     """
@@ -214,11 +220,11 @@ def check_plate_residual(best: Explanation) -> Iterator[Diagnostic]:
 
 
 def check_weight_sign(best: Explanation, tare: Array | None) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if the weight on the plate is clearly negative.
+    """Yield a diagnostic of a weight on the plate below -10 % of the robot's.
 
     Args:
         best: Best explanation of the recording; with a wrench.
-        tare: Stated wrench on the plate without the robot, as for `ScaledPrior.zero`.
+        tare: Stated wrench on the plate without the robot, as for `ScaledPrior.zero_wrench`.
     """
     tree = best.fit.prior.tree
     if tree.sensor is not None:
@@ -234,11 +240,11 @@ def check_weight_sign(best: Explanation, tare: Array | None) -> Iterator[Diagnos
 
 
 def carried_mass(best: Explanation, tare: Array | None) -> tuple[float, Array]:
-    """Mass on the plate besides its zero [kg], and its mean force, (3,) [N].
+    """Mass [kg] and mean force, (3,) [N], by the plate's reading minus its zero wrench.
 
     Args:
         best: Best explanation of the recording; with a wrench.
-        tare: Stated wrench on the plate without the robot, as for `ScaledPrior.zero`.
+        tare: Stated wrench on the plate without the robot, as for `ScaledPrior.zero_wrench`.
     """
     prior = best.fit.prior
     force = (best.fit.plate.wrench(best.plate).mean(axis=0) - prior.zero_wrench(tare))[
@@ -249,9 +255,9 @@ def carried_mass(best: Explanation, tare: Array | None) -> tuple[float, Array]:
 
 
 def robot_masses(best: Explanation) -> tuple[float, float, float] | None:
-    """Masses of the robot by force plate with pedestal, without, and by model file [kg].
+    """Robot masses [kg] by plate readings with and without pedestal, and by model file.
 
-    None if the model's pedestal is too light.
+    None if the model's pedestal is below 3 % of the robot's mass.
 
     Args:
         best: Best explanation of the recording; with a wrench.
@@ -267,7 +273,7 @@ def robot_masses(best: Explanation) -> tuple[float, float, float] | None:
 def check_unstated_pedestal(
     best: Explanation, mapping: Mapping[str, Any]
 ) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if the plate seems read without pedestal, unknown to the mapping.
+    """Yield a diagnostic of a pedestal removed from the plate's reading, unstated in the mapping.
 
     Args:
         best: Best explanation of the recording.
@@ -304,7 +310,7 @@ def is_pedestal_removed(included: float, without: float, file: float) -> bool:
 
 
 def plate_zero_diagnostic(remedy: Remedy) -> Diagnostic:
-    """Diagnostic of a plate with another zero and no other error.
+    """Diagnostic of a force plate whose zero is shifted, without other errors.
 
     Args:
         remedy: Remedy of the kind `tare`.
@@ -368,13 +374,13 @@ def wrong_mapping_diagnostic(
 def check_torque_scales(
     tree: Tree, sizes: Array, mapping: Mapping[str, Any], *, certain: bool
 ) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if torques differ much from torques of the model file's masses.
+    """Yield a diagnostic of torques 2.5 times larger or smaller than the model file's.
 
     Args:
         tree: Robot.
         sizes: Torques relative to those of the model file's masses, nan if unknown, (n,) or (0,).
         mapping: Content of the recording's mapping file; empty without a mapping.
-        certain: True if other scale factors explain the torques far better.
+        certain: True if other scale factors explain the torques far better: an error from 4 times.
     """
     factors = np.maximum(sizes, 1 / sizes)
     certain = certain and bool((factors >= ERROR_FACTOR).any())
@@ -420,7 +426,7 @@ def check_undetermined_positions(
 
     Args:
         tree: Robot.
-        hypotheses: Hypotheses that explain the recording about as well as none.
+        hypotheses: Hypotheses that explain the recording about as well as positions as read.
     """
     parts = []
     for kind in ("zero", "position_sign", "position_order"):
@@ -479,7 +485,7 @@ def signals_to_align(source: Source, faults: Iterable[ChannelFault]) -> list[str
 
     Args:
         source: Recording.
-        faults: Faults of the recording's channels.
+        faults: Faults of the recording's channels; torques with `DELAY_HIDING_FAULTS` are left out.
     """
     mapping = source.metadata.mapping or {}
     torque, position = (

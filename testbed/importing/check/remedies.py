@@ -74,7 +74,7 @@ class Hypothesis:
     """Hypothesis on an error of a mapping file, as a correction of the data.
 
     Attributes:
-        kind: Kind of error, a key of `KINDS`.
+        kind: Kind of error, a key of `HYPOTHESIS_KINDS`.
         joints: Indices of the affected joints.
         values: Values of the correction, by kind. Zeros: angles to be added, one per joint [rad];
             orders: column index of each joint or channel; units: names; turn: roll, pitch and yaw
@@ -88,7 +88,11 @@ class Hypothesis:
 
     @property
     def penalty(self) -> float:
-        """Additional log-likelihood ratio that the hypothesis must gain [nats]."""
+        """Additional log-likelihood ratio that the hypothesis must gain [nats].
+
+        Rotations: 2 for angles that are no multiples of 90 deg, 4 for no multiples of 15 deg.
+        Zeros: the penalty of the kind per joint, and once more for angles not of 90 or 180 deg.
+        """
         # right angles are the most frequent, then multiples of 15 degrees
         if self.kind == "turn":
             angles = np.array(self.values)
@@ -154,7 +158,7 @@ def candidate_orders(joints: range) -> Iterator[tuple[int, ...]]:
     """Yield orders with two joints exchanged, all joints rotated cyclically, or reversed.
 
     Args:
-        joints: Indices of the joints.
+        joints: Indices of the joints; earlier joints keep their place in the orders.
     """
     yield from pair_exchanges(joints, joints.stop)
     base, rest = [*range(joints.start)], [*joints]
@@ -210,6 +214,8 @@ def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
 def merge_hypotheses(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """Combine signs and zeros of several joints into one hypothesis per kind.
 
+    Two reversals of a sign cancel; a reversed position reverses the zeros applied before.
+
     Args:
         hypotheses: Hypotheses in the order of application.
     """
@@ -238,7 +244,7 @@ def joint_hypothesis(
     """Yield the hypothesis of a kind on selected joints, if any is selected.
 
     Args:
-        kind: Kind of hypothesis, a key of `KINDS`.
+        kind: Kind of hypothesis, a key of `HYPOTHESIS_KINDS`.
         mask: True for the selected joints, (n,).
         values: Values of the hypothesis; none by default.
     """
@@ -254,7 +260,7 @@ class Remedy:
     """Correction of a mapping file, with its effect on the residuals.
 
     Attributes:
-        kind: Kind of hypothesis, a key of `KINDS`.
+        kind: Kind of hypothesis, a key of `HYPOTHESIS_KINDS`.
         joints: Names of the affected joints; empty for plate or base.
         values: Values of the correction, as of the `Hypothesis`.
         lines: Corrected lines of the mapping.
@@ -371,10 +377,10 @@ def signal_tables(
 
 
 def sensor_placement(table: Mapping[str, Any]) -> tuple[Sequence[float], Array]:
-    """Roll, pitch and yaw [rad] of a plate's frame, and origin, (3,) [m].
+    """Roll, pitch, yaw [rad] and origin, (3,) [m], of a plate in the bedplate frame.
 
     Args:
-        table: Table of the plate in a mapping; the bedplate frame by default.
+        table: Table of the plate in a mapping; zeros without its key `place`.
     """
     place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
     return place["rpy"], np.array(place["xyz"], float)
@@ -429,7 +435,10 @@ def _base_line(hypothesis: Hypothesis, table: Mapping[str, Any]) -> tuple[str, A
 def _joint_lines(
     tree: Tree, hypothesis: Hypothesis, table: Mapping[str, Any], order: Sequence[int]
 ) -> Iterator[tuple[str, Any]]:
-    """Yield keys and values of the table of positions or torques that apply a hypothesis."""
+    """Yield keys and values of the table of positions or torques that apply a hypothesis.
+
+    Lists of the table are in the mapping's order of joints; `order` has their indices in the robot.
+    """
     kind, matrix, offset = (
         hypothesis.kind,
         table.get("matrix"),

@@ -102,7 +102,11 @@ class Search:
         self.first = self._fit()
 
     def find_best_explanations(self) -> tuple[Explanation, list[Explanation]]:
-        """Explanation of the plate as read, and best explanations, the best first."""
+        """Explanation of the plate as read, and best explanations, the best first.
+
+        At most `MAX_EXPLANATIONS`, sorted by penalised cost; zeros of the best fit are optimised.
+        Without a search if the plate as read is explained.
+        """
         initial = self.first
         assert initial is not None
         as_read = initial.explanation_as_read
@@ -124,6 +128,8 @@ class Search:
     ) -> Iterator[Explanation]:
         """Yield explanations with one joint's position sign reversed, of equal plate cost.
 
+        Equal: less than `MIN_HYPOTHESIS_GAIN` above the cost of the best explanation.
+
         Args:
             best: Best explanation.
             joints: Indices of the candidate joints.
@@ -140,8 +146,9 @@ class Search:
     def undecided(self) -> list[Hypothesis]:
         """Single position hypotheses under which the data are about equally likely.
 
-        Hypotheses without any effect are left out: a zero about an axis along gravity renames
-        parameters.
+        Their cost is less than `MIN_HYPOTHESIS_GAIN` above that of the positions as read.
+        Hypotheses without any effect are left out: a zero about an axis along gravity is equivalent
+        to other parameters.
         """
         misfit = self.fits[()].approximate_cost
         increases = {
@@ -199,6 +206,10 @@ class Search:
     ) -> Iterator[list[Explanation]]:
         """Yield explanations of each stage of the search, from the simple to the rare.
 
+        Stages: the plate alone; units of positions; single hypotheses on positions; zeros by odd
+        multiples of 45 deg, optimised; two hypotheses on positions. If the plate turns out to be
+        delayed, the stages begin again with the delay corrected.
+
         Args:
             first: Fit with the positions as read.
             explanations: Explanations of all stages before, updated by the caller.
@@ -229,7 +240,11 @@ class Search:
     def _fit_with_delay(
         self, first: HypothesisFit, explanations: Sequence[Explanation]
     ) -> HypothesisFit | None:
-        """Fit with the plate's delay corrected; None without a significant delay."""
+        """Fit with the plate's delay corrected; None without a significant delay.
+
+        The delay is from the fit with the least ratio of residuals. None also if an explanation
+        explains the plate, or the first fit has hypotheses.
+        """
         explained = any(each.plate.is_explained() for each in explanations)
         if first.hypotheses or explained:
             return None
@@ -257,7 +272,10 @@ class Search:
         ]
 
     def _promising_explanations(self) -> list[Explanation]:
-        """Explanations of the best fits, without fits with far larger residuals."""
+        """Explanations of the four fits with the least approximate cost.
+
+        Without fits whose residual share exceeds 20 times the least by more than 0.1 %.
+        """
         nearest = self._nearest_fits(MAX_EVALUATED_FITS)
         largest_residual = (
             MAX_RESIDUAL_RATIO
@@ -272,7 +290,12 @@ class Search:
         ]
 
     def _refined_explanations(self, count: int) -> list[Explanation]:
-        """Explanations of the nearest fits with optimised zeros."""
+        """Explanations of the nearest fits with optimised zeros.
+
+        Args:
+            count: Number of fits with the least approximate cost, of which those are refined whose
+                last hypothesis is a zero.
+        """
         fits = [
             self._refine(each)
             for each in self._nearest_fits(count)
@@ -281,7 +304,7 @@ class Search:
         return [each for fit in fits for each in fit.explanations]
 
     def _refine(self, fit: HypothesisFit) -> HypothesisFit:
-        """Fit with the angles of its last zero optimised."""
+        """Fit with the last zero's angles shifted, within 25 deg, to the least cost."""
         from scipy.optimize import minimize_scalar
 
         *others, last = fit.hypotheses
@@ -314,6 +337,9 @@ def position_hypotheses(
     tree: Tree, position: Array, applied: Sequence[Hypothesis]
 ) -> Iterator[Hypothesis]:
     """Yield hypotheses on units, signs, zeros and order of the joint positions.
+
+    Degrees or radians only if plausible by the size of the motion; zeros by 90 or 180 deg, and
+    orders, only for robots of at most 12 joints. A free base adds its unit and quaternion order.
 
     Args:
         tree: Robot.
@@ -356,7 +382,7 @@ def rarer_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
 def _inner_joints(tree: Tree) -> list[int]:
     """Indices of revolute joints that carry other joints.
 
-    The zero of a last joint only renames parameters of its body.
+    Another zero of a last joint is equivalent to other parameters of its body.
     """
     return [
         k

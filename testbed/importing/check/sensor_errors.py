@@ -50,7 +50,7 @@ class SensorErrorFit:
 
     Attributes:
         error: Type of the sensor error.
-        coefficients: Significant coefficients and their values.
+        coefficients: Significant coefficients (beyond 5 standard deviations) and their values.
         unexplained: Unexplained share of each channel's variance with the error, (6,).
         gain: Log-likelihood ratio [nats].
     """
@@ -63,6 +63,8 @@ class SensorErrorFit:
     def explains_plate(self, best: Explanation) -> bool:
         """Test whether the residuals of the plate are within its noise with the error.
 
+        Within: an unexplained share of each channel below 0.3 % plus 3 times the noise share.
+
         Args:
             best: Explanation of the recording without the error.
         """
@@ -71,6 +73,8 @@ class SensorErrorFit:
 
 def likeliest_sensor_error(best: Explanation) -> SensorErrorFit | None:
     """Sensor error that explains a plate's residuals best; None if not likely.
+
+    Likely: a gain above `MIN_GAIN`, and a significant coefficient.
 
     Errors that are constant in time are covered by hypotheses on the plate, or are crosstalk.
 
@@ -116,7 +120,10 @@ def sensor_error_diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnosti
 
 
 def _sensor_error_fits(best: Explanation) -> Iterator[SensorErrorFit]:
-    """Yield the fits of all time-varying sensor errors."""
+    """Yield the fits of all time-varying sensor errors, one error at a time.
+
+    Constant gains of the channels are fitted as well; `gain` is relative to the fit of these alone.
+    """
     wrench = best.fit.plate.wrench(best.plate)
     # columns are computed from the explained wrench, not the measured one: noise on both sides
     # would bias coefficients towards zero; with gains, which the error multiplies
@@ -176,7 +183,7 @@ def _is_time_varying(error: type[SystematicError]) -> bool:
 def _error_columns(
     error: type[SystematicError], best: Explanation, wrench: Array
 ) -> Array:
-    """Derivatives of a wrench, (T, 6), by coefficients of a sensor error, (T, 6, k).
+    """Derivatives of a wrench, (T, 6), with respect to a sensor error's coefficients, (T, 6, k).
 
     Time is counted from the middle of the recording.
     """

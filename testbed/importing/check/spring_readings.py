@@ -22,6 +22,8 @@ MIN_EXPECTED_GAIN = 5.0
 def spring_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
     """Yield readings with a spring at one joint, screened by a score test.
 
+    A spring is fitted if its expected gain of log evidence exceeds `MIN_EXPECTED_GAIN`.
+
     Args:
         case: Joint torques of a log, with robot and prior.
         joints: Indices of the joints with usable torques.

@@ -92,12 +92,12 @@ class TimeOffset:
 
     @property
     def is_late(self) -> bool:
-        """True if the delay is significant."""
+        """True if the delay is significant (beyond 5 standard deviations)."""
         return abs(self.delay) > Z_THRESHOLD * self.sigma
 
     @property
     def is_drifting(self) -> bool:
-        """True if the difference of clock rates is significant."""
+        """True if the difference of clock rates is significant (beyond 5 standard deviations)."""
         return abs(self.skew) > Z_THRESHOLD * self.skew_sigma
 
     @property
@@ -143,6 +143,10 @@ def time_offsets(
         source: Recording.
         kinds: Names of the signals: "torque", "wrench", or both.
         bodies: Estimate by force plate, for torques predicted with its parameters.
+
+    Returns:
+        An offset for each signal, significant or not, without constant signals and signals with too
+        few rows for the number of unknowns; empty for less than 2 s.
 
     Raises:
         RecordingError: The recording is of another robot.
@@ -231,7 +235,7 @@ def alignment_lines(
 
 
 class _Regression(NamedTuple):
-    """Linear model of a signal, and the signal itself.
+    """Linear model of a signal, and the signal itself: T rows, C channels, N unknowns.
 
     Attributes:
         rows: Rows on all unknowns, (T, C, N).
@@ -252,7 +256,8 @@ def _time_offset(
 ) -> TimeOffset | None:
     """Delay of one signal, with a drift only if plausible for clocks.
 
-    None if the robot hardly moves, or the recording has too few rows for the number of unknowns.
+    Plausible: significant, and a skew below 5e-4. None if the robot hardly moves, or the recording
+    has too few rows for the number of unknowns.
     """
     rows, valid, time, measured = _regression_rows(kind, tree, recording, rate, bodies)
     if valid.sum() < MIN_VALUES_PER_COLUMN * rows.shape[2]:
@@ -275,7 +280,11 @@ def _time_offset(
 def _regression_rows(
     kind: str, tree: Tree, recording: Recording, rate: float, bodies: Estimate | None
 ) -> _Regression:
-    """Filtered rows of the torques or the wrench, and the signal with the same filter."""
+    """Filtered rows of the torques or the wrench, and the signal with the same filter.
+
+    At most 12.5 rows per second. Rows of joints near a reversal are invalid; columns of zeros are
+    left out.
+    """
     cutoff_factor = min(1.0, rate / (6 * POSITION_CUTOFF))
     step = max(1, int(rate / ROW_RATE))
     row_selection = slice(None, None, step)
@@ -381,7 +390,13 @@ def _fit_offset(
 def _residual_function(
     regression: _Regression, powers: Array, weights: Array
 ) -> Callable[[Array], Array]:
-    """Function from delay and drift to the weighted residuals of the linear model, (T C,)."""
+    """Function from delay and drift to the weighted residuals of the linear model, (T C,).
+
+    Args:
+        regression: Linear model of the signal, whose unknowns are eliminated.
+        powers: Ones, and times from the middle [s] for a drift, (T, 1) or (T, 2).
+        weights: Weights of the residuals, (T, C).
+    """
     rows, _, time, measured = regression
     columns = (rows * weights[..., None]).reshape(-1, rows.shape[2])
     basis = orthonormal_basis(columns, RANK_TOLERANCE)
@@ -394,7 +409,12 @@ def _residual_function(
 
 
 def _offset_sigma(residual: Array, columns: Array) -> Array:
-    """Standard deviations of delay and drift, for residuals correlated over some rows [NW87]."""
+    """Standard deviations of delay and drift, for residuals correlated over some rows [NW87].
+
+    Args:
+        residual: Weighted residuals, (T, C).
+        columns: Their derivatives with respect to delay and drift, (T, C, 1) or (T, C, 2).
+    """
     from scipy.linalg import toeplitz
 
     inverse = np.linalg.inv(np.einsum("tci,tcj->ij", columns, columns))

@@ -80,6 +80,9 @@ def assess_torques(
 ) -> TorqueAssessment:
     """Check a log's mapping and gravity against its joint torques.
 
+    Readings are compared by Bayesian evidence (`compare_readings`). Empty for too short a recording
+    or without enough valid torques.
+
     Args:
         tree: Robot under the gravity stated by the log.
         recording: Recording in the robot's order of joints.
@@ -114,7 +117,11 @@ def assess_torques(
 
 
 def _scaled_verdict(case: TorqueCase) -> tuple[Array, TorqueVerdict, bool]:
-    """Torque scale factors, verdict, and True if torques were rescaled before the verdict."""
+    """Torque scale factors, verdict, and True if torques were rescaled before the verdict.
+
+    Torques are rescaled if they are not right as given, and their median scale factor is beyond 2.5
+    or 1 / 2.5; the verdict on them counts if it is likelier, or the first verdict explains nothing.
+    """
     verdict, sizes = compare_readings(case), body_scale_factors(case)
     known = np.isfinite(sizes) & case.usable_channels
     median = float(np.median(sizes[known])) if known.any() else 1.0
@@ -161,7 +168,8 @@ def _scaled_verdict(case: TorqueCase) -> tuple[Array, TorqueVerdict, bool]:
 def body_scale_factors(case: TorqueCase) -> Array:
     """Scale factors of torques relative to the model file's bodies, (n,).
 
-    Least squares together with friction; nan if bodies explain little of a torque.
+    Least squares together with friction; nan if bodies explain less than 1 % of a torque's squares,
+    or less than 5 times the residual, or if the factor is negative.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -185,7 +193,12 @@ def body_scale_factors(case: TorqueCase) -> Array:
 
 
 def _scale_normal_equations(case: TorqueCase) -> tuple[Array, Array]:
-    """Normal equations of each torque on friction and the model file's torque."""
+    """Normal equations of each torque on friction and the model file's torque.
+
+    Returns:
+        Gram matrices, (C, 6, 6), and products with the torque, (C, 6): viscous, dry, rotor's,
+        Stribeck's and constant torque, then the model file's.
+    """
     products, count = case.products, case.products.shared_count
     columns = np.zeros((SCALED_COEFFICIENTS + 1, len(products.mean)))
     columns[:SCALED_COEFFICIENTS, count : count + SCALED_COEFFICIENTS] = np.eye(
@@ -209,7 +222,10 @@ def _rescaled_reading(case: TorqueCase, sizes: Array) -> LogReading:
 
 
 def _corrected_scale_factors(case: TorqueCase, verdict: TorqueVerdict) -> Array:
-    """Scale factors of the torques after the corrections of a verdict, (n,)."""
+    """Scale factors of the torques after the corrections of a verdict, (n,).
+
+    Factors of an accepted reading with torque sizes, or else by least squares.
+    """
     for each in verdict.readings:
         if each.kind == "torque sizes":
             return np.array(each.hypotheses[0].values)
@@ -220,7 +236,7 @@ def _corrected_scale_factors(case: TorqueCase, verdict: TorqueVerdict) -> Array:
 
 
 def _residual_shares(case: TorqueCase, reading: LogReading) -> Array:
-    """Unexplained share of each torque's variance, (n,)."""
+    """Unexplained share of each torque's variance, (n,); zero for unusable channels."""
     torque = case.signals.torque
     counted = case.signals.valid
     square_sums = (counted * (torque - torque.mean(axis=0)) ** 2).sum(axis=0)
@@ -232,7 +248,11 @@ def _residual_shares(case: TorqueCase, reading: LogReading) -> Array:
 def _diagnostics(
     case: TorqueCase, assessment: TorqueAssessment, *, rescaled: bool
 ) -> Iterator[Diagnostic]:
-    """Yield the diagnostics of a verdict."""
+    """Yield the diagnostics of a verdict: accepted, ambiguous or unexplained readings.
+
+    For torques right as given: contradictory scale factors, and positions that the data do not
+    determine (log evidence at most 20 nats below that of the positions as given).
+    """
     verdict, tree = assessment.verdict, case.tree
     assert verdict is not None
     if verdict.outcome == "explained":
@@ -267,7 +287,10 @@ def _accepted_diagnostics(
     *,
     rescaled: bool,
 ) -> Iterator[Diagnostic]:
-    """Yield diagnostics of accepted readings, with the corrected lines of the mapping."""
+    """Yield diagnostics of accepted readings, with the corrected lines of the mapping.
+
+    In this order: gravity, other errors of the mapping, springs, torque scale factors.
+    """
     by_kind = {each.kind: each for each in verdict.readings}
     gravity = [each for each in assessment.remedies if each.kind == "gravity"]
     for remedy in gravity[-1:]:
@@ -328,7 +351,7 @@ def gravity_description(reading: LogReading) -> str:
 
 
 def _scale_factor_list(case: TorqueCase, reading: LogReading) -> str:
-    """List of relative torque scale factors with standard deviations."""
+    """List of torque scale factors, relative to their geometric mean, with standard deviations."""
     known = np.isfinite(reading.sigma)
     sizes = np.array(reading.hypotheses[0].values)
     relative = sizes / np.exp(np.log(sizes[known]).mean())
@@ -345,7 +368,7 @@ def _scale_factor_list(case: TorqueCase, reading: LogReading) -> str:
 def _contradiction_diagnostics(
     case: TorqueCase, verdict: TorqueVerdict
 ) -> Iterator[Diagnostic]:
-    """Yield the diagnostic of inconsistent torque scale factors."""
+    """Yield the diagnostic of torque scale factors that differ significantly between joints."""
     for reading in verdict.ranked_readings:
         if reading.kind == "torque sizes" and has_contradictory_scales(reading):
             sizes = _scale_factor_list(case, reading)

@@ -48,6 +48,9 @@ MAX_SIGMA_RATIO, KNOWN_SIGMA = 2.0, 0.1
 def column_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
     """Yield readings with torques of other columns or opposite signs.
 
+    First all signs opposite (also with gravity along other axes), then single signs, then orders of
+    joints; no orders for robots with many joints.
+
     Args:
         case: Joint torques of a log, with robot and prior.
         joints: Indices of the joints with usable torques.
@@ -80,7 +83,7 @@ def column_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRead
 def _opposite_axis_readings(
     case: TorqueCase, reading: LogReading, measured: Array
 ) -> Iterator[LogReading]:
-    """Yield readings with opposite torque signs and gravity along another axis.
+    """Yield readings with opposite torque signs and gravity along each other base axis.
 
     Together they resemble a robot as given whose friction and inertial torques are reversed.
 
@@ -106,7 +109,9 @@ def _opposite_axis_readings(
 
 
 def compensated_gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Yield the reading with gravity torques of the model file subtracted.
+    """Yield the reading of torques from which the model file's gravity torques were subtracted.
+
+    The gravity torques are added to the log's; no reading if they are zero.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -125,7 +130,9 @@ def compensated_gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
 def scale_reading(case: TorqueCase) -> LogReading:
     """Reading with one scale factor per joint torque, estimated jointly.
 
-    A scale factor multiplies the bodies' torque; friction is in the units of the log.
+    A scale factor multiplies the bodies' torque; friction is in the units of the log. `sigma` is
+    of the logarithms relative to their mean; it is infinite for joints whose factor is not known,
+    which get the geometric mean of the known factors.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -161,7 +168,12 @@ def scale_reading(case: TorqueCase) -> LogReading:
 
 
 def _log_scale_factors(case: TorqueCase, prior: Array) -> tuple[Array, Evidence, Array]:
-    """Log torque scale factors by Gauss-Newton steps, with evidence and information."""
+    """Log torque scale factors, (n,), by Gauss-Newton steps, with evidence and information, (n, n).
+
+    Args:
+        case: Joint torques of a log, with robot and prior.
+        prior: Prior information of the log factors, about zero, (n, n).
+    """
     products = case.products
     mean = products.mean[: products.shared_count]
     inputs, logs = products.products(case.gravity), np.zeros(case.tree.n)
@@ -181,6 +193,8 @@ def _log_scale_factors(case: TorqueCase, prior: Array) -> tuple[Array, Evidence,
 def has_contradictory_scales(reading: LogReading) -> bool:
     """Test whether torque scale factors differ significantly between joints.
 
+    A logarithm is more than 4 standard deviations from the mean, and their range is above 0.15.
+
     Args:
         reading: Reading with other scale factors of the torques.
     """
@@ -193,7 +207,13 @@ def has_contradictory_scales(reading: LogReading) -> bool:
 def _scale_step(
     products: ChannelProducts, estimate: Evidence, mean: Array
 ) -> tuple[Array, Array]:
-    """Gradient, (n,), and information, (n, n), of log torque scale factors."""
+    """Gradient, (n,), and information, (n, n), of log torque scale factors.
+
+    Args:
+        products: Products of the columns, scaled by the present factors.
+        estimate: Evidence with these columns.
+        mean: Prior mean of the coefficients shared by all channels, (P,).
+    """
     n, size = len(products.count), len(mean)
     values = np.zeros_like(products.moment)
     values[:, :size] = mean + estimate.shared_mean

@@ -46,7 +46,13 @@ RANK_TOLERANCE = 1e-10
 
 
 class Grams(NamedTuple):
-    """Gram matrices of shared columns, shared with local columns, and local columns."""
+    """Gram matrices of P shared columns, shared with local columns, and m local columns.
+
+    Attributes:
+        shared: Products of the columns shared by all channels, (C, P, P).
+        cross: Products of shared and local columns, (C, P, m).
+        local: Products of the columns of one channel, (C, m, m).
+    """
 
     shared: Array
     cross: Array
@@ -56,6 +62,9 @@ class Grams(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class TorqueProducts:
     """Products of the columns of torques and of measurements, quadratic in gravity.
+
+    C channels, T instants, and p columns of each channel: P of bodies, shared by all channels, then
+    local ones of friction.
 
     Attributes:
         columns: Columns of bodies without gravity and of friction, in prior standard deviations,
@@ -111,7 +120,7 @@ class TorqueProducts:
         """Sums of squared torques per channel, (C,) [N^2 m^2 or N^2].
 
         Args:
-            measured: Other torques, (C, T).
+            measured: Torques instead of the log's, (C, T).
         """
         torque = self.measured if measured is None else measured
         return np.asarray((self.valid * torque**2).sum(axis=1))
@@ -123,7 +132,7 @@ class TorqueProducts:
 
         Args:
             gravity: Gravity, (3,) [m/s^2].
-            measured: Other torques, (C, T).
+            measured: Torques instead of the log's, (C, T).
         """
         torque = self.valid * (self.measured if measured is None else measured)
         moment, size = (torque[:, None] @ self.columns)[:, 0], self.shared_count
@@ -169,7 +178,7 @@ class TorqueProducts:
         Args:
             gravity: Gravity, (3,) [m/s^2].
             estimate: Evidence of these columns.
-            measured: Other torques, (C, T).
+            measured: Torques instead of the log's, (C, T).
         """
         torque = self.valid * (self.measured if measured is None else measured)
         values = self.mean + estimate.coefficients
@@ -270,6 +279,8 @@ def torque_products(
 def spring_torques(signals: TorqueSignals, size: Array) -> Array:
     """Spring torques at one prior standard deviation of stiffness, (T, n) [N m or N].
 
+    Proportional to the position about its mean, with an rms of 30 % of the channel's.
+
     Args:
         signals: Joint torques and motion of the log.
         size: Rms of each channel's torques, (n,) [N m or N].
@@ -280,7 +291,7 @@ def spring_torques(signals: TorqueSignals, size: Array) -> Array:
 
 
 def _gravity_columns(tree: Tree, q: Array, prior: BodyPrior) -> Array:
-    """Torques of bodies per unit of gravity along each axis, (C, T, 3, 10 n)."""
+    """Torques of bodies per unit of gravity along each base axis, (C, T, 3, 10 n)."""
     still = Motion.at_rest(q)
     # gravity acts on masses and first moments alone
     affected = np.flatnonzero(np.abs(prior.barycentric[:, :4]).max(axis=(0, 1)))
@@ -294,7 +305,13 @@ def _gravity_columns(tree: Tree, q: Array, prior: BodyPrior) -> Array:
 
 
 def _identifiable_basis(parts: Sequence[Array]) -> Array:
-    """Orthonormal basis of the identifiable parameters, (10 n, P)."""
+    """Orthonormal basis of the identifiable parameters, (10 n, P).
+
+    Eigenvectors of the sum of all Gram matrices, with eigenvalues above 1e-10 of the largest.
+
+    Args:
+        parts: Columns of the parameters, (..., 10 n) each.
+    """
     width = parts[0].shape[-1]
     flat = [each.reshape(-1, width) for each in parts]
     values, axes = eigh(np.asarray(sum(each.T @ each for each in flat)))
@@ -302,7 +319,11 @@ def _identifiable_basis(parts: Sequence[Array]) -> Array:
 
 
 def _local_columns(tree: Tree, signals: TorqueSignals, size: Array) -> Array:
-    """Friction, offset and neighbours' torques of each channel, in sigmas, (C, T, 8)."""
+    """Friction, offset and neighbours' torques of each channel, in sigmas, (C, T, 8).
+
+    In the order of `LOCAL_SIGMA`: viscous, dry, rotor's, Stribeck's, constant torque,
+    load-dependent friction, torque of the parent joint, torque of the first child joint.
+    """
     torque, friction = signals.torque, signals.friction
     neighbours = np.zeros((*torque.shape, 2))
     for k, joint in enumerate(tree.joints):

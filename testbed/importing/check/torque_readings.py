@@ -121,7 +121,7 @@ class TorqueCase:
 
     @cached_property
     def channel_rms(self) -> Array:
-        """Rms of each channel's torques, (C,) [N m or N]."""
+        """Rms of each channel's torques, (C,) [N m or N]; at least 1 % of the largest."""
         counted = self.signals.valid
         square = (counted * self.signals.torque**2).sum(axis=0)
         rms = (
@@ -131,7 +131,7 @@ class TorqueCase:
 
     @cached_property
     def noise_floor(self) -> Array:
-        """Least standard deviation of each channel's noise, (C,) [N m or N]."""
+        """Least standard deviation of each channel's noise, (C,) [N m or N]: 0.4 % of the rms."""
         return np.asarray(
             NOISE_FLOOR
             * np.maximum(self.channel_rms, MIN_NOISE_RMS_SHARE * self.channel_rms.max())
@@ -144,7 +144,10 @@ class TorqueCase:
 
     @cached_property
     def products(self) -> TorqueProducts:
-        """Column products of the log as given, with free gravity for few joints."""
+        """Column products of the log as given; gravity is free for up to 12 joints.
+
+        Gravity is fixed if positions and gravity are known.
+        """
         return self.products_under(
             self.gravity if self.motion_known or self.has_many_joints else None
         )
@@ -178,6 +181,8 @@ class TorqueCase:
     def with_inflation(self, reading: LogReading) -> TorqueCase:
         """Case with inflation factors from the residual autocorrelation of a reading.
 
+        They leave at most 80 effective instants of each channel.
+
         Args:
             reading: Likeliest reading.
         """
@@ -202,7 +207,7 @@ class TorqueCase:
         Args:
             products: Products of the columns.
             gravity: Gravity, (3,) [m/s^2].
-            measured: Other torques, (C, T).
+            measured: Torques instead of the log's, (C, T).
             variance: Start values of the channels' noise variances, (C,).
             rounds: Iterations for the noise variances.
         """
@@ -213,6 +218,9 @@ class TorqueCase:
         self, products: ChannelProducts, variance: Array | None, rounds: int
     ) -> Evidence:
         """Evidence of a model with dissipative friction.
+
+        The log posterior probability of positive friction coefficients is added to the log evidence
+        of the linear model.
 
         Args:
             products: Products of the columns and measurements.
@@ -229,7 +237,7 @@ class TorqueCase:
         )
 
     def _friction_log_probability(self, estimate: Evidence) -> float:
-        """Log posterior probability of dissipative friction coefficients [nats]."""
+        """Log posterior probability of positive friction coefficients, at least -15 each [nats]."""
         values, sigma = friction_coefficients(estimate)
         logs = np.maximum(log_ndtr(values / sigma), -MAX_FRICTION_COST)
         return float(logs[self.usable_channels].sum())
@@ -263,7 +271,7 @@ class TorqueCase:
     def corrected_reading(
         self, hypotheses: tuple[Hypothesis, ...], odds: float, kind: str, count: int = 0
     ) -> LogReading:
-        """Reading with columns of corrected signals.
+        """Reading with columns of signals corrected by hypotheses.
 
         Args:
             hypotheses: Hypotheses of the reading.
@@ -293,6 +301,8 @@ class TorqueCase:
 
 def correlation_times(residual: Array) -> Array:
     """Integrated autocorrelation times of residuals, in samples, (C,).
+
+    The sum ends before the first autocorrelation below 0.05; times are between 1 and T / 12.
 
     Args:
         residual: Residuals, (C, T).

@@ -108,6 +108,10 @@ def torque_signals(
 ) -> TorqueSignals | None:
     """Low-passed torque and motion signals; None for too short a recording.
 
+    Below 4 Hz, at 8 instants per second and 240 at most, without the filter's transients at both
+    ends; fewer than 12 instants are too few. Velocities and accelerations are differentiated
+    positions.
+
     Args:
         recording: Recording in the robot's order of joints.
         faults: Faults of channels; faulty samples are marked invalid.
@@ -149,7 +153,11 @@ def _low_passed(signal: Array, rate: float, cutoff: float) -> Array:
 def _friction_columns(
     qd: Array, qdd: Array, low_pass: Callable[[Array], Array]
 ) -> Array:
-    """Viscous, dry, rotor's and Stribeck's torques of about unit size, (M, n, 4)."""
+    """Viscous, dry, rotor's and Stribeck's torques of about unit size, (M, n, 4).
+
+    With v the 98th percentile of a joint's speed: qd / v; the sign of qd as tanh(qd / (0.03 v));
+    qdd over its rms; and the sign times exp(-(qd / (0.15 v))^2).
+    """
     fastest = np.percentile(np.abs(qd), 98, axis=0) + 1e-9
     sense = np.tanh(qd / (DRY_SPEED_SHARE * fastest))
     stribeck = sense * np.exp(-((qd / (STRIBECK_SPEED_SHARE * fastest)) ** 2))
@@ -182,7 +190,7 @@ def _valid_mask(
 
 
 def _is_constant(channel: Array) -> bool:
-    """True if a channel, (M,), is at one value at most of its samples."""
+    """True if a channel, (M,), has one value at more than half of the samples."""
     return bool((channel == np.median(channel)).mean() > MAX_CONSTANT_SHARE)
 
 

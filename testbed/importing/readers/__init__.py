@@ -44,13 +44,14 @@ def open_foreign_table(path: Path, topic: str | None = None) -> ForeignTable:
     """Open a table in a file of another program.
 
     Args:
-        path: File with one of `MODULE_OF_ENDING`, text also compressed as .gz; or a folder with one
-            of `FOLDER_MARKS`.
+        path: File with an ending in `MODULE_OF_ENDING`, text also compressed as .gz; or a folder
+            with one of the files in `FOLDER_MARKS`.
         topic: Topic of a bag or entity of a Rerun file, if the file holds several tables; else
             None.
 
     Raises:
-        RecordingError: The file is missing or damaged, or a library is not installed.
+        RecordingError: The file is missing or damaged, a library is not installed, or the file
+            holds several tables and `topic` is None.
         UnknownName: The ending is not known.
     """
     module = _reader_module(path)

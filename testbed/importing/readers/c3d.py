@@ -43,6 +43,9 @@ Parameters = dict[str, dict[str, Any]]
 def read_file(path: Path) -> ForeignTable:
     """Read the columns of a C3D file.
 
+    Columns are analog/LABEL and point/LABEL/x, y, z, with analog/time and point/time [s]. Force
+    plates that the parameters describe are in `plates`; none if the parameters are incomplete.
+
     Args:
         path: File.
 
@@ -133,6 +136,8 @@ def _texts(group: str, name: str, groups: Parameters) -> list[str]:
 def _eight_force_matrix(origin: Array) -> Array:
     """Matrix from a type-3 plate's eight forces to the wrench at the plate's centre, (6, 8).
 
+    Forces are in the order x12, x34, y14, y23, z1, z2, z3, z4, with the numbers of the corners.
+
     Args:
         origin: Distances of the corner sensors from the centre along x and y, (3,) [m].
     """
@@ -146,7 +151,7 @@ def _eight_force_matrix(origin: Array) -> Array:
 
 
 def _plates(groups: Parameters, channels: Sequence[str]) -> Iterator[DescribedPlate]:
-    """Force plates with six forces and moments (types 2 and 4) or eight forces (type 3).
+    """Yield force plates with six forces and moments (types 2 and 4) or eight forces (type 3).
 
     Forces and moments act on the plate, along axes that the corners define; z points downwards.
 
@@ -179,8 +184,10 @@ def _plates(groups: Parameters, channels: Sequence[str]) -> Iterator[DescribedPl
 def _sensor_pose(corners: Array, origin: Array) -> dict[str, list[float]] | None:
     """Pose `xyz` [m] and `rpy` [rad] of a plate's sensor; None for degenerate corners.
 
+    The pose is in the laboratory frame; roll, pitch, yaw are about fixed axes x, then y, then z.
+
     Args:
-        corners: Corners of the plate, (4, 3) [m].
+        corners: Corners of the plate in the laboratory frame, (4, 3) [m].
         origin: Vector from the sensor to the plate's centre in the plate's axes, (3,) [m].
     """
     x = corners[[0, 3]].sum(axis=0) - corners[[1, 2]].sum(axis=0)

@@ -66,7 +66,10 @@ MISSING = {"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"}
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Read the columns of a text file.
+    """Read the columns of a text file with lines of numbers below a header.
+
+    Separator and decimal point are those with the largest share of numeric fields. Columns of text
+    are omitted; instants become microseconds; an incomplete last line is omitted.
 
     Args:
         path: File.
@@ -254,7 +257,7 @@ def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
 def _numeric_share(lines: list[str], separator: str | None, decimal: str) -> float:
     """Share of numeric fields for a separator and a decimal point.
 
-    It is zero if most lines have a single field.
+    It is zero if a line has fewer than 1.5 fields on average, for separators other than blanks.
 
     Args:
         lines: Lines of the table.
@@ -315,6 +318,8 @@ def _names_and_units(
 ) -> tuple[list[str], dict[str, str]]:
     """Unique column names, and units by name, from the lines above the numbers.
 
+    The last line that is no line of units holds the names, the last line of units the units.
+
     Args:
         header: Fields of the lines above the numbers.
         width: Number of columns.
@@ -373,7 +378,7 @@ def _value(field: str) -> float:
 
 
 def _number_and_word_counts(fields: Sequence[str]) -> tuple[int, int]:
-    """Number of fields that are numbers or instants, and number of words."""
+    """Number of fields that are numbers or instants, and of words, without missing numbers."""
     values = words = 0
     for field in fields:
         try:

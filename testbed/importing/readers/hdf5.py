@@ -18,7 +18,9 @@ from testbed.importing.foreign_table import (
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Read the columns of an HDF5 file.
+    """Read the columns of an HDF5 file, named by the path of their dataset.
+
+    Units are those of the attribute `unit` or `units`; external and virtual datasets are ignored.
 
     Args:
         path: File.

@@ -50,7 +50,9 @@ def read_tables_directly(module: str, path: Path, topic: str | None) -> TablesBy
 
 
 def read_tables_in_child(module: str, path: Path, topic: str | None) -> TablesByTopic:
-    """Read the tables of a file in a child process, as `tables_of`.
+    """Read the tables of a file by topic in a child process, as `read_tables_directly`.
+
+    Arrays beyond `MAX_SENT_NUMBERS` values are read on demand, in further processes.
 
     Args:
         module: Reader in this package.

@@ -45,7 +45,9 @@ INDEX_COLUMNS = ("episode_index", "frame_index", "index", "task_index")
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Read the columns of all episodes of a dataset.
+    """Read the columns of all episodes of a dataset, with pauses between the episodes.
+
+    Elements of a feature are columns, as observation.state/elbow.pos or observation.state[0].
 
     Args:
         path: Folder, or one of its Parquet files.
@@ -139,6 +141,8 @@ def _row_times(
 ) -> Array:
     """Times of rows with a pause between two episodes, (M,) [s].
 
+    The pause is 1 s, or ten frames if that is longer.
+
     Args:
         path: Folder or file, for error messages.
         episode: Episode index of each row, (M,).
@@ -164,6 +168,8 @@ def _row_times(
 
 def _element_names(feature: str, description: Any) -> list[str]:
     """Column names of a feature's elements; empty if the feature is no vector of numbers.
+
+    They are FEATURE/NAME if the description has a unique name for each element, else FEATURE[k].
 
     Args:
         feature: Name of the feature.

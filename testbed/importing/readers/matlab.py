@@ -25,6 +25,8 @@ HEADER_BYTES = 128
 def read_file(path: Path) -> ForeignTable:
     """Read the columns of a MATLAB file.
 
+    Fields of structs are named by their path, as log/q.
+
     Args:
         path: File.
 

@@ -57,6 +57,8 @@ def _tables_by_topic(
 ) -> TablesByTopic:
     """Tables of a file's topics, from the records in one pass.
 
+    A topic with a message that cannot be decoded becomes an error in place of its table.
+
     Raises:
         UnknownName: There is no such topic.
     """

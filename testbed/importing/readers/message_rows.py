@@ -143,7 +143,11 @@ class MessageTableBuilder:
         check_count(self.path, "numbers", count, MAX_NUMBERS)
 
     def table(self) -> ForeignTable:
-        """Columns by path with times of reception, in the order of these times."""
+        """Columns by path and times of reception [ns], in the order of these times.
+
+        The message's own time stamps are the column "stamp", times of reception "received". The
+        table is empty for fewer than two messages.
+        """
         received = np.array(self._received, dtype=np.int64)
         order = np.argsort(received, kind="stable")
         columns: dict[str, NDArray[Any]] = {}

@@ -48,7 +48,10 @@ def read_file(path: Path) -> ForeignTable:
 
 
 def _column_count(field: pa.Field, metadata: Any) -> int:
-    """Number of columns that a field of the schema becomes; 0 if not numeric."""
+    """Number of columns that a field of the schema becomes; 0 if not numeric.
+
+    It is the length of lists in the field (the mean length, if the type does not fix it), else 1.
+    """
     kind = field.type
     if pa.types.is_fixed_size_list(kind):
         return int(kind.list_size) * _is_number(kind.value_type)
@@ -89,12 +92,15 @@ def _stated_unit(field: pa.Field) -> str:
 def read_column(file: pq.ParquetFile, name: str) -> NDArray[Any]:
     """Values of a column, (M,), or (M, k) for lists.
 
+    Instants and durations become integers in the unit of their type.
+
     Args:
         file: Open file.
         name: Column name.
 
     Raises:
-        ValueError: A value is missing, or lists differ in length.
+        ValueError: A value in a list is missing, lists differ in length, or there are more than
+            `MAX_NUMBERS`.
     """
     width = _column_count(file.schema_arrow.field(name), file.metadata)
     # a small file can hold many equal values, compressed

@@ -97,6 +97,8 @@ class Assumptions:
 def assumptions(tree: Tree) -> Assumptions:
     """Choose friction, rotors, effort limits, noise, step and clearance for a robot.
 
+    Sizes are shares of the rms joint torques and base wrench in `STATE_COUNT` random states.
+
     Args:
         tree: Robot of the model file.
     """
@@ -133,7 +135,7 @@ def moderate_speeds(tree: Tree) -> Array:
 
 
 def _random_motion(tree: Tree) -> Motion:
-    """Random positions, velocities up to moderate speeds, and accelerations within the limits."""
+    """Independent random states within the limits, velocities up to moderate speeds."""
     limits, rng = joint_limits(tree), np.random.default_rng(0)
     position, velocity, acceleration = (
         rng.uniform(-1, 1, (STATE_COUNT, tree.n)) * size
@@ -149,7 +151,10 @@ def _rms(values: Array) -> Array:
 
 
 def _assumed_friction(tree: Tree, loads: Array) -> dict[str, dict[str, float]]:
-    """Assumed friction of joints that have none, by joint.
+    """Assumed Coulomb and viscous friction of joints that have neither, by joint.
+
+    Shares `COULOMB_SHARE` and `VISCOUS_SHARE` of the rms torque; Coulomb friction at most
+    `MAX_COULOMB_EFFORT_SHARE` of the effort limit.
 
     Args:
         tree: The robot.
@@ -173,7 +178,8 @@ def _assumed_friction(tree: Tree, loads: Array) -> dict[str, dict[str, float]]:
 def _assumed_rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
     """Assumed rotor inertias of joints that are too light to be controlled, by joint.
 
-    Too light in some posture, or too light for their Coulomb friction.
+    Too light in some posture (`MIN_INERTIA_RATIO`), or too light for their Coulomb friction
+    (`MAX_FRICTION_DEVIATION`).
 
     Args:
         tree: The robot with friction.
@@ -199,7 +205,10 @@ def _assumed_rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
 
 
 def _assumed_efforts(tree: Tree) -> dict[str, dict[str, float]]:
-    """Assumed effort limits of motors that cannot hold the easiest posture, by joint."""
+    """Assumed effort limits of motors too weak for the posture of least effort, by joint.
+
+    Too weak: holding and Coulomb friction need over `MAX_HOLDING_SHARE` of the effort limit.
+    """
     posture = least_effort_posture(tree, joint_limits(tree))
     holding_effort = np.abs(joint_forces(tree, Motion.at_rest(posture[None]))[0])
     holding_effort += np.array([joint.coulomb for joint in tree.joints])
@@ -211,7 +220,7 @@ def _assumed_efforts(tree: Tree) -> dict[str, dict[str, float]]:
 
 
 def _stable_step(tree: Tree, matrices: Array) -> float:
-    """Largest simulation step that is stable with the joints' viscous friction [s].
+    """Largest of `STEP_SIZES` that is stable with the joints' viscous friction [s].
 
     Args:
         tree: The robot with friction and rotors.
@@ -229,7 +238,7 @@ def _stable_step(tree: Tree, matrices: Array) -> float:
 
 
 def _small_clearance(tree: Tree) -> float | None:
-    """Clearance of a robot that is small for the default clearance [m]; None for others."""
+    """`CLEARANCE_SHARE` of the robot's length [m]; None if at least the default clearance."""
     default = ExcitationTable().clearance
     assert not isinstance(default, str)
     clearance = round_significant(CLEARANCE_SHARE * chain_length(tree), 1)
@@ -278,6 +287,9 @@ def tested_text(
 ) -> str:
     """Text of an experiment file after a successful simulation of one second.
 
+    After a failure smaller step, slower motion, excluded pairs of bodies and no clearance are tried
+    in turn.
+
     Args:
         text: Function that writes the text for given settings.
         needs: Settings to begin with.
@@ -315,7 +327,8 @@ def _changed_needs(
 ) -> tuple[FeasibleSettings, str] | None:
     """Settings with a change that may avoid a failure, and the change in words.
 
-    None if no such change is known.
+    After divergence a smaller step, then a slower motion; without feasible motion the close pairs
+    of bodies excluded, then no clearance. None if these are used up, and for other errors.
     """
     if isinstance(error, SimulationDiverged):
         smaller = [step for step in STEP_SIZES if step < needs.step][:2]
@@ -338,7 +351,7 @@ def _changed_needs(
 
 
 def _close_pairs(experiment: Experiment) -> tuple[tuple[str, str], ...]:
-    """Pairs of bodies within the clearance, in the random posture with fewest pairs."""
+    """Pairs of bodies closer than the clearance, in the random posture with fewest such pairs."""
     tree = robot_of(experiment)
     rules = rules_of(experiment, tree, designed=False)
     if rules.collision is None:

@@ -65,7 +65,8 @@ def simulate_validation_recording(
         progress: Called with the number of samples done and in all.
 
     Returns:
-        Recording for validation; None if the run has no experiment that could be repeated.
+        Recording of at most `VALIDATION_DURATION` or one period, whichever is longer; None if the
+            run has no experiment.
 
     Raises:
         TestbedError: The other motion cannot be simulated.
@@ -85,6 +86,8 @@ def simulate_validation_recording(
 
 def with_validation(run: Run, recording: Recording) -> Run:
     """Validate a run's estimates on another recording.
+
+    Where the run has a posterior of the method, the reported estimate of both is validated.
 
     Args:
         run: Run with estimates.
@@ -123,9 +126,9 @@ def with_validation(run: Run, recording: Recording) -> Run:
 
 
 def _validation_score(run: Run, recording: Recording) -> Score | None:
-    """Score of the run with the accuracy of its predictions along a recording.
+    """Score of the run with the true accuracy of its predictions along a recording's motion.
 
-    None for a run without score.
+    None for a run without score (no truth).
     """
     if run.score is None:
         return None
@@ -139,9 +142,10 @@ def _validation_score(run: Run, recording: Recording) -> Score | None:
 def with_payload_metrics(run: Run, progress: Progress = ignore_progress) -> Run:
     """Add the errors of the identified payload to a run's metrics.
 
-    The payload is the difference to estimates from another simulated recording, of the robot
-    without payload and with other noise. Unchanged is a run without a claim on a payload metric,
-    without exactly one payload, or without an estimate by the force plate.
+    Metrics: "payload_mass_error", "payload_mass_sigma", "payload_mass_z", "payload_centre_error",
+    where identifiable. The payload is the difference to estimates from another simulated recording,
+    of the robot without payload and with other noise. A run without a claim on a payload metric,
+    without exactly one payload, or without an estimate by the force plate is unchanged.
 
     Args:
         run: Run of an experiment.
@@ -188,7 +192,7 @@ def with_payload_metrics(run: Run, progress: Progress = ignore_progress) -> Run:
 
 
 def _experiment_without_payload(experiment: Experiment) -> Experiment:
-    """Experiment without payloads, with another motion and other noise."""
+    """Experiment without payloads and with another seed, of motion and noise."""
     effects = experiment.simulation.effect
     other_effects = tuple(each for each in effects if not isinstance(each, Payload))
     return experiment.with_(

@@ -31,11 +31,11 @@ def design(
 ) -> Fourier:
     """Design an excitation trajectory for the smallest standard deviations from the force plate.
 
-    Limits of positions, velocities, efforts, the plate's range and distances between bodies are
-    proven to hold at all times.
+    Limits (times `MARGIN`) of positions, velocities, efforts and the plate's range, and a distance
+    between bodies of `CLEARANCE`, are proven to hold at all times.
 
     Args:
-        rig: Robot, plant and sensors.
+        rig: Robot, plant and sensors; noise of zero is replaced by a default.
         motion: Fourier series whose fundamental frequency and number of harmonics are used.
         seconds: Length of the recording [s].
         starts: Number of searches, each from another random motion; the best result is taken.

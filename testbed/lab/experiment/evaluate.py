@@ -41,8 +41,9 @@ FINE_STEP = SimulationTable().step
 def with_integration_error(run: Run) -> Run:
     """Add the metric `wrench_floor`, the error by the integration step, to a run.
 
-    It is the rms relative error of the plate's estimate with perfect sensors. Unchanged is a run
-    with a fine step, without score or without an estimate by the force plate.
+    It is the rms relative error of the plate's estimate with perfect sensors. A run is unchanged if
+    its step is at most `FINE_STEP`, without score or estimate by the force plate, or if the exact
+    recording gives no estimate.
 
     Args:
         run: Run of an experiment.
@@ -83,6 +84,7 @@ def evaluate(
     """Identify parameters from an experiment's recording, and compare estimates with true values.
 
     Physically consistent bodies are estimated too if the experiment has the table [consistent].
+    Failures of a method are recorded in the run (`Run.failures`).
 
     Args:
         experiment: Experiment that made the recording.
@@ -142,7 +144,7 @@ def perturbed_robot(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
 
 
 def _perturbed_body(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
-    """Body with a randomly perturbed pseudo-inertia; unchanged if that is singular."""
+    """Body with a randomly perturbed pseudo-inertia (`perturbed_robot`); unchanged if singular."""
     factor = np.eye(4) + error / 2 * rng.normal(size=(4, 4))
     try:
         root = upper_cholesky_factor(body.pseudo) @ factor
@@ -154,7 +156,7 @@ def _perturbed_body(body: Inertia, error: float, rng: np.random.Generator) -> In
 def with_body_metrics(run: Run) -> Run:
     """Add errors of the consistent bodies to a run's metrics.
 
-    Unchanged is a run without consistent bodies or without known truth.
+    A run without consistent bodies or without known truth is unchanged.
 
     Args:
         run: Run of an experiment.
@@ -177,7 +179,11 @@ def perturbed_prior(tree: Tree, experiment: Experiment) -> Tree:
 
 
 def _body_metrics(run: Run, bodies: Consistent) -> dict[str, float]:
-    """Errors of consistent bodies and their prior against the truth, by metric."""
+    """Errors of consistent bodies and their prior against the truth, by metric.
+
+    Rms relative errors of both, ratio to the least-squares error (by the plate first), and smallest
+    over largest eigenvalue of the pseudo-inertias.
+    """
     massive = bodies.eigenvalues[bodies.eigenvalues[:, -1] > 0]
     consistent, prior = (
         _rms_relative_error(run, bodies.standard),
@@ -203,7 +209,7 @@ def _body_metrics(run: Run, bodies: Consistent) -> dict[str, float]:
 
 
 def _rms_relative_error(run: Run, bodies: Array) -> float | None:
-    """Rms relative error of delta_d computed from standard parameters, (n, 10)."""
+    """Rms relative error of the torques' base parameters from standard parameters, (n, 10)."""
     torque_set = minimal_set(run.tree, "torque", zeros=run.settings.zeros)
     matrix = torque_set.standard_matrix
     truth = matrix @ standard(run.tree).ravel()

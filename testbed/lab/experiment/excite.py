@@ -74,7 +74,7 @@ def excite(
 
 
 def _random_motion(experiment: Experiment, rules: MotionConstraints) -> Fourier | None:
-    """Random motion of the experiment without a design; None if it has none."""
+    """Best random motion of the experiment; None if no random motion respects the limits."""
     try:
         return experiment_motion(
             experiment.with_(motion={"file": ""}), rules.tree, rules
@@ -136,6 +136,9 @@ def pipeline(
 ) -> SignalProcessing:
     """Filters of an estimate, and the length of the filtered recording.
 
+    The length is without the ends that the filters of positions and rows lose. The guard time about
+    velocity reversals is the time that rows are affected by them.
+
     Args:
         rate: Sampling rate [Hz].
         seconds: Length of the recording [s].
@@ -157,6 +160,9 @@ def pipeline(
 
 def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
     """Fundamental frequencies [Hz] and numbers of harmonics that the design may use.
+
+    Twice, once and four times the lowest frequency, at least `MIN_PERIODS` over the duration, with
+    as many harmonics as the highest frequency allows, if these are at least `MIN_HARMONICS`.
 
     Args:
         experiment: Frequency band in `excitation`, duration in `motion`.
@@ -194,7 +200,8 @@ def _sampled_rows(
 ) -> dict[Signal, SampledRows]:
     """Sampled regressor rows for the design criterion and the limits, by signal.
 
-    With `robot.sensor` the wrench is that of the links beyond the force sensor.
+    Wrench, signals of `excitation.instrument`, and torques if efforts are limited. With
+    `robot.sensor` the wrench is that of the links beyond the force sensor.
     """
     tree, zeros = rules.tree, experiment.identification.zeros
     signals: list[Signal] = [

@@ -158,7 +158,10 @@ class Experiment(Summarized, RobotTables):
 
     @property
     def file(self) -> ModelFile:
-        """Model file with welded root, replaced bodies and locked joints."""
+        """Model file with welded root, replaced bodies and locked joints.
+
+        Joints of `robot.lock`, and mimic joints with `robot.lock_mimic`, are locked.
+        """
         mimic = mimic_joints(self.model) if self.robot.lock_mimic else ()
         lock = dict.fromkeys(mimic) | self.robot.lock
         return ModelFile(
@@ -184,7 +187,10 @@ class Experiment(Summarized, RobotTables):
 
     @property
     def mounted_sensors(self) -> list[ForcePlate]:
-        """Force sensors in the robot, each with its noise and errors."""
+        """Force sensors in the robot, with noise and errors of their tables in `sensors`.
+
+        A sensor without table is perfect.
+        """
         sensors = []
         for name, mounting in self.force_sensors.items():
             table = self.sensors.get(name, SensorTable())
@@ -222,8 +228,9 @@ DEFAULT_MODEL_NAMES = ("", "robot", "MuJoCo Model")
 def run_name(path: Path, model_name: str = "") -> str:
     """Name of a run, from the model file's name or from the model itself.
 
-    The model's name is taken for a generic file name such as "robot", and the folder's name if the
-    model has no name either.
+    The model's name is taken for a generic file name (`GENERIC_FILE_NAMES`), and the folder's name
+    if the model has no name either. Other characters than letters, digits, "_", "." and "-" become
+    "-".
 
     Args:
         path: Model file.

@@ -156,7 +156,7 @@ class Bound(StrictTable):
 
     @model_validator(mode="after")
     def _check_bounds(self) -> Bound:
-        """Require at least one bound."""
+        """Raise ValueError without any bound."""
         if self.at_most is None and self.at_least is None:
             raise ValueError("a claim needs at_most or at_least")
         return self
@@ -176,7 +176,7 @@ class Bound(StrictTable):
 
 
 def _check_metrics(expect: dict[str, Bound]) -> dict[str, Bound]:
-    """Refuse bounds on unknown metrics."""
+    """Raise ValueError for a bound on a metric that is not in `METRICS`."""
     for name in expect:
         if name not in METRICS:
             raise ValueError(str(UnknownName("metric", name, METRICS)))

@@ -49,7 +49,8 @@ def experiment_motion(
     """Motion of an experiment, from its file or random, proven to respect the limits.
 
     Args:
-        experiment: Motion file, or number and harmonics of random motions, in `motion`.
+        experiment: Motion file, or number and harmonics of random motions, in `motion`; of random
+            motions that with the smallest predicted standard deviations is returned.
         tree: Robot of the experiment.
         previous_rules: Rules of the same experiment, whose collision shapes are reused.
 
@@ -101,9 +102,9 @@ def validation_motion(experiment: Experiment, tree: Tree) -> Fourier:
 
 
 def plate_noise_of(experiment: Experiment) -> Array:
-    """Standard deviations of the measured wrench, (6,) [N, N m].
+    """Standard deviations of the wrench measured by `robot.sensor` or the plate, (6,) [N, N m].
 
-    Default values stand for a plate or force sensor without noise.
+    `DEFAULT_PLATE_NOISE` if a component is simulated without noise.
     """
     instrument = experiment.sensor_instruments.get(
         experiment.robot.sensor, experiment.measurement
@@ -120,7 +121,7 @@ def rules_of(
     designed: bool,
     previous_rules: MotionConstraints | None = None,
 ) -> MotionConstraints:
-    """Limits of motions of an experiment's robot.
+    """Limits of motions of an experiment's robot: joints, forces, distances between bodies.
 
     Args:
         experiment: Limits in `motion` and `excitation`.
@@ -147,7 +148,17 @@ def rules_of(
 def _force_limits(
     experiment: Experiment, tree: Tree, margin: float, *, designed: bool
 ) -> list[ForceTerm]:
-    """Limits of the force plate and of force sensors in the robot."""
+    """Limits of the force plate and of force sensors in the robot.
+
+    The plate's range is `excitation.plate_range`, else, if designed for the plate, the full scale;
+    an area for the centre of pressure limits too. Force sensors' full scales count if designed.
+
+    Args:
+        experiment: Limits in `excitation`, ranges in `measurement` and `sensors`.
+        tree: Robot of the experiment.
+        margin: Share of a limit that a motion may use.
+        designed: True for a motion that is designed for this plate.
+    """
     table, sensor_name = experiment.excitation, experiment.robot.sensor
     terms: list[ForceTerm] = []
     # otherwise only an explicit plate_range is a limit

@@ -77,8 +77,8 @@ def read_robot(
 ) -> ReadableRobot:
     """Read a model file, with welded root and locked joints where needed.
 
-    Locked are joints that a tree cannot have, grippers, joints without room to move, and joints
-    that viscous friction holds.
+    Besides `lock`, joints are locked that a tree cannot have, fingers of grippers, joints with a
+    range too short for motion, and joints that viscous friction holds.
 
     Args:
         model: MJCF or URDF file.
@@ -115,10 +115,10 @@ def read_robot(
 
 
 def _immobile_joints(tree: Tree) -> dict[str, float]:
-    """Rest positions of joints without room to move; {} if all joints are so.
+    """Rest positions of joints with too short a range; {} if all joints are so.
 
-    Their range is one position, or so short that the speed stays below the deadband of estimates:
-    torques of such a joint identify no parameter.
+    A joint is too short if its speed stays below the deadband of estimates, for a usual motion
+    (`MAX_SWING_RATE`) or by its velocity limit: its torques identify no parameter.
     """
     narrow_joints = [
         j
@@ -130,7 +130,11 @@ def _immobile_joints(tree: Tree) -> dict[str, float]:
 
 
 def _braked_joints(tree: Tree) -> dict[str, float]:
-    """Rest positions of joints with prohibitive viscous friction; {} if all joints are so."""
+    """Rest positions of joints with prohibitive viscous friction; {} if all joints are so.
+
+    Friction at a moderate speed exceeds `MAX_FRICTION_RATIO` times the robot's weight, for rotary
+    joints times the chain's length.
+    """
     weight = 9.81 * sum(body.mass for body in tree.inertias)
     lever = np.where([joint.revolute for joint in tree.joints], chain_length(tree), 1.0)
     is_braked = (
@@ -155,7 +159,7 @@ def _finger_joints(tree: Tree, followed: Collection[str]) -> dict[str, float]:
 
 
 def _rest_positions(tree: Tree, indices: Iterable[int]) -> dict[str, float]:
-    """Rest positions of joints by name [rad or m].
+    """Rest positions of joints by name [rad or m], to six digits.
 
     Args:
         tree: The robot.
@@ -209,12 +213,14 @@ def new_experiment(
             are locked.
         folder: Folder of the future file.
         strict: Refuse bodies that are not physically consistent instead of repairing them.
-        run_trial: Simulate one second of the experiment, and assume more if it fails.
+        run_trial: Simulate one second of the experiment; if it fails, change step, speed or
+            clearance until it runs (`tested_text`).
         lock: Joints to lock and their positions [rad or m]; None for the rest position.
         report_line: Called with a line for every repair, and every assumption after a failed trial.
 
     Raises:
         ModelError: The robot cannot be read.
+        ExperimentError: The trial fails with all changes.
     """
     robot = read_robot(model, {} if strict else None, lock)
     diagnostics = (*robot.tree.diagnostics, *find_placeholders(robot.tree).diagnostics)
@@ -248,7 +254,11 @@ def new_experiment(
 
 
 def _template_values(robot: ReadableRobot, assumed: Assumptions) -> dict[str, Any]:
-    """Values of the template that do not depend on trials, by name."""
+    """Values of the template that do not depend on trials, by name.
+
+    A harmonic for every `PARAMETERS_PER_HARMONIC` parameters; a period for which the fastest is at
+    most `MAX_HARMONIC_FREQUENCY`.
+    """
     tree = robot.tree
     unknowns = minimal_set(tree, "wrench").count
     harmonics = max(
@@ -319,7 +329,7 @@ def _template_environment() -> jinja2.Environment:
 
 
 def _flaw_lines(repair: Repair) -> Iterator[str]:
-    """Lines on the first inconsistent bodies, and on the number of others."""
+    """Yield lines on the first `MAX_LISTED_FLAWS` inconsistent bodies and the number of others."""
     yield from (f"  {flaw}" for flaw in repair.flaws[:MAX_LISTED_FLAWS])
     if len(repair.flaws) > MAX_LISTED_FLAWS:
         yield f"  and {len(repair.flaws) - MAX_LISTED_FLAWS} more"

@@ -46,7 +46,7 @@ class _CalibrationTable(BaseModel):
 
 
 def write_calibration(plate: Calibration, path: Path) -> None:
-    """Write the calibration of a force plate.
+    """Write the calibration of a force plate as TOML: coefficients, known values, correlation.
 
     Args:
         plate: Calibration.
@@ -71,8 +71,8 @@ def read_calibration(path: Path, tree: Tree) -> Calibration:
     """Read the calibration of a force plate.
 
     Args:
-        path: File of `write_plate`, or of the same form.
-        tree: Robot on the plate.
+        path: File of `write_calibration`, or of the same form.
+        tree: Robot on the plate, for the kinds of the coefficients.
 
     Raises:
         ExperimentError: The file is not a valid calibration.

@@ -75,7 +75,7 @@ def _channels(
     measured: Array,
     predicted: Mapping[Signal, Array],
 ) -> Iterator[Channel]:
-    """Channels of the wrench or of the joint torques.
+    """Yield the k channels of the wrench or of the joint torques.
 
     Args:
         kind: "wrench" or "torque".
@@ -113,7 +113,7 @@ class Predictions(Summarized):
 
     @property
     def summary(self) -> SummaryTable:
-        """Rms of each channel and of its residuals by every estimate."""
+        """Table with the rms of each channel and of its residuals by every estimate."""
         rows = []
         for each in self.channels:
             values = each.measured, *each.residuals.values()
@@ -127,7 +127,10 @@ class Predictions(Summarized):
         return self.motion.t
 
     def to_frame(self) -> Any:
-        """Measured and predicted signals over time, as a data frame of pandas, polars or Arrow."""
+        """Measured and predicted signals over time, as a data frame of pandas, polars or Arrow.
+
+        Columns "time" [s] and "KIND/CHANNEL/CURVE", such as "wrench/Fx/measured".
+        """
         columns: dict[str, Array] = {"time": self.time}
         for each in self.channels:
             name = f"{each.kind}/{each.name}"
@@ -215,7 +218,7 @@ def _corrected_recording(
     """Recording without the estimated sensor and model errors, with the model errors' uncertainty.
 
     With such errors it is the longest segment of the recording, otherwise the recording itself. The
-    uncertainty is the mean square of the removed model errors' own error in each channel, (C,), by
+    uncertainty is the mean square of the errors in the removed model errors by channel, (C,), by
     method.
     """
     variance: dict[Signal, Array] = {}
@@ -245,10 +248,11 @@ def run_from_estimates(data: Recording, *estimates: Estimate | Information) -> R
 
     Args:
         data: Recording of the robot.
-        estimates: At least one estimate, or sums of information with estimates.
+        estimates: At least one estimate, or sums of information with estimates; robot and settings
+            are those of the first, and of two estimates by one method the later is used.
 
     Raises:
-        SettingsError: There is no estimate.
+        SettingsError: There is no estimate, or another value is given.
     """
     inputs: list[object] = []
     for each in estimates:
@@ -274,8 +278,9 @@ def predict(
     """Predict a recording's signals by estimates, and compare with the measurements.
 
     Args:
-        data: Recording of the robot, or a run.
-        inputs: The estimates; for a run, another recording or nothing.
+        data: Recording of the robot, or a run with its own estimates.
+        inputs: For a recording, the estimates; for a run, another recording to be predicted, or
+            nothing for the run's own.
 
     Raises:
         RecordingError: The recording is of another robot.

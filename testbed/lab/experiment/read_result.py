@@ -171,7 +171,17 @@ def _stored_estimates(
 def _estimates_by_method(
     kind: type[AnyEstimate], content: Any, path: Path, suffix: str = ""
 ) -> dict[Signal, AnyEstimate]:
-    """Estimates of a JSON object by method; {} if the content is no object."""
+    """Estimates of a JSON object by method, ordered as `SIGNALS`; {} if it is no object.
+
+    Args:
+        kind: Class of the estimates.
+        content: JSON values by method.
+        path: Path of the file, for error messages.
+        suffix: Place within the file, for error messages.
+
+    Raises:
+        ExperimentError: An estimate is not valid.
+    """
     contents = content if isinstance(content, dict) else {}
     methods = [method for method in SIGNALS if method in contents]
     return {
@@ -190,7 +200,7 @@ def _decoded_estimate(
         source: File and place of the estimate, for error messages.
 
     Raises:
-        ExperimentError: A field is missing or not valid.
+        ExperimentError: A field is missing, not valid or not finite, or a residual is negative.
     """
     try:
         estimate: AnyEstimate = from_json_values(
@@ -235,6 +245,9 @@ def _recording_result(
     content: dict[str, Any], path: Path, model: Path | None, overrides: Sequence[str]
 ) -> StoredResult:
     """Robot and settings of a result that contains its settings, as from `identify --json`.
+
+    Unless overridden, the prior error of the consistent bodies is the smallest one of the
+    posteriors that are used.
 
     Args:
         content: JSON object of the result.
@@ -305,7 +318,12 @@ def _run_result(
 
 
 def _checked_model(model: Path, sha256: object, path: Path) -> Path:
-    """Path of a model file whose SHA-256 is that of the result's model.
+    """Path of a model file, checked: its SHA-256 must be that of the result's model.
+
+    Args:
+        model: Path of the model file.
+        sha256: SHA-256 in the result.
+        path: Path of the result, for error messages.
 
     Raises:
         ExperimentError: The file does not exist or differs.
@@ -322,11 +340,14 @@ def _checked_model(model: Path, sha256: object, path: Path) -> Path:
 
 
 def prior_covariance(result: StoredResult, experiment: Experiment) -> Array:
-    """Covariance of an earlier estimate in the order of an experiment's parameters, (N, N).
+    """Covariance of an earlier estimate in the order of an experiment's N parameters, (N, N).
+
+    The first least-squares estimate by the method that has all base parameters of the robot.
 
     Args:
         result: Estimates of a file.
-        experiment: Experiment whose `excitation.instrument` selects method and parameters.
+        experiment: Experiment whose `excitation.instrument` selects the method: joint torques for
+            "joints", else the wrench.
 
     Raises:
         ExperimentError: The file has no estimate of all these parameters.

@@ -68,6 +68,8 @@ def record(
 def _check_motion(experiment: Experiment) -> None:
     """Refuse random motions that do not fit sampling rate and duration.
 
+    Motions of a file are not checked.
+
     Raises:
         ExperimentError: The fastest harmonic is too fast for the rate or too slow for the duration.
     """

@@ -57,7 +57,7 @@ HASH_DIGITS = 16
 def provenance_lines(
     bodies: Consistent, model: ModelFile, recordings: Sequence[Path]
 ) -> list[str]:
-    """Comment lines on the origin of the numbers in a model file."""
+    """Comment lines on versions, methods, recordings and prior of a written model file."""
     methods = " and ".join(each.method for each in bodies.bent)
     return [
         f"testbed {package_versions()['testbed']}: inertials and joint losses are physically "
@@ -238,7 +238,7 @@ def identification_result(
 def _completed_tables(
     tables: RecordingTables, estimates: Iterable[Estimate]
 ) -> RecordingTables:
-    """Copy of the tables with the joint terms and the shafts of the estimates."""
+    """Copy of the tables with the estimates' chosen joint terms and motor shafts."""
     robot, estimates = tables.robot, list(estimates)
     for drives in (estimate.drives for estimate in estimates):
         if drives is not None and drives.tree.shafts:
@@ -435,7 +435,7 @@ def _experiment_hash(experiment: Experiment) -> str:
 
 
 def _is_run_of(folder: Path, experiment: Experiment) -> bool:
-    """Test whether a run folder is of an experiment; False if unreadable."""
+    """Test whether a run folder's experiment has the same hash; False if unreadable."""
     try:
         return _experiment_hash(
             Experiment.from_toml(folder / EXPERIMENT_FILE)
@@ -489,7 +489,7 @@ def read_run(folder: Path) -> Run:
 
 
 def _estimates_source(folder: Path) -> dict[str, str]:
-    """Versions and file hashes that the estimates in a run folder depend on."""
+    """Versions of packages, and SHA-256 by name of a run folder's input files."""
     files = [
         name
         for name in (EXPERIMENT_FILE, RECORDING_FILE, VALIDATION_FILE)

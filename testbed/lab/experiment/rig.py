@@ -36,7 +36,7 @@ MAX_SAMPLES = 2e6
 
 
 def _check_kinds(name: str, values: object, kind: type) -> None:
-    """Refuse values that are not a sequence of the given class."""
+    """Raise SettingsError if values are not a sequence of the given class."""
     if not isinstance(values, Sequence) or not all(
         isinstance(each, kind) for each in values
     ):
@@ -160,7 +160,7 @@ class Rig(Summarized):
         """Combine sensors into one instrument at the rig's sampling rate.
 
         Args:
-            sensors: At most one sensor of each class.
+            sensors: At most one sensor of each class; a class without sensor has no errors.
         """
         settings = {
             key: value for each in sensors for key, value in each.settings.items()
@@ -177,7 +177,8 @@ class Rig(Summarized):
             seconds: Length of the recording [s].
 
         Raises:
-            SettingsError: Step, rate, bandwidth and length do not fit each other.
+            SettingsError: The step does not divide the sampling time, the bandwidth exceeds half
+                the rate, or the length has fewer than 2 or more than `MAX_SAMPLES` samples.
         """
         if self.bandwidth > self.rate / 2:
             raise SettingsError(
@@ -212,7 +213,7 @@ def rig_of(experiment: Experiment) -> Rig:
         experiment: Experiment with its model file.
 
     Raises:
-        UnknownName: A table names a joint that does not exist.
+        UnknownName: A table has a joint that does not exist.
         ExperimentError: `robot.base` is "measured": experiments have a bedplate.
     """
     tree = experiment.file.tree()

@@ -117,7 +117,7 @@ class SensorTable(StrictTable):
 
     @model_validator(mode="after")
     def _check_faults(self) -> SensorTable:
-        """Refuse errors that are not errors of a wrench."""
+        """Raise ValueError for errors that are not errors of a wrench."""
         for fault in self.fault:
             if fault.signal != "wrench":
                 raise ValueError(
@@ -199,7 +199,7 @@ PLATE = "plate"
 
 
 def _check_sensor_name(name: str) -> str:
-    """Refuse names of force sensors that are reserved or not printable."""
+    """Raise ValueError for a sensor's name "plate", with a slash, or not printable."""
     if name == PLATE or not name.isprintable() or "/" in name:
         raise ValueError(f"'{name}' is no name of a force sensor")
     return name
@@ -220,7 +220,7 @@ class RobotTables(StrictTable):
 
     @property
     def force_sensors(self) -> dict[str, ForceSensor]:
-        """Force sensors by name, including a sensor that `robot.sensor` gives by link."""
+        """Force sensors by name; a link in `robot.sensor` adds a sensor of its name."""
         tables, sensor = self.sensors, self.robot.sensor
         if sensor and sensor != PLATE and sensor not in tables:
             tables = tables | {sensor: SensorTable()}
@@ -228,6 +228,9 @@ class RobotTables(StrictTable):
 
     def sensed_part(self, tree: Tree) -> Tree:
         """Part of a robot whose wrench is measured: whole, or links beyond a sensor.
+
+        By `robot.sensor`: "" for the whole robot, "plate" for the links up to the first force
+        sensors, a sensor for the links beyond, up to the next sensors.
 
         Args:
             tree: Whole robot.

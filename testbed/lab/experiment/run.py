@@ -57,7 +57,7 @@ from testbed.lab.experiment.score import Errors, Score, drive_metrics, score
 
 
 def recorded_motion(recording: Recording, settings: Settings) -> tuple[Motion, slice]:
-    """Motion of a recording's longest segment, and the slice of samples it covers.
+    """Motion of a recording's longest segment without gaps, and the slice of its samples.
 
     Derivatives are finite differences without filter if the segment is too short for the filters.
 
@@ -95,9 +95,9 @@ RELATIVE_TOLERANCE = 1e-6
 
 
 def correlation_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Diagnostic of strongly correlated parameters, the largest correlation first.
+    """Yield a diagnostic of pairs of parameters with a correlation above `MIN_CORRELATION`.
 
-    Nothing is yielded without such a pair.
+    It lists `MAX_PAIRS` pairs, largest first; nothing is yielded without such a pair.
 
     Args:
         estimate: Estimate by one method.
@@ -123,9 +123,10 @@ def correlation_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 
 
 def bias_diagnostics(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic]:
-    """Diagnostic of errors against the truth that are too large for their sigma.
+    """Yield a diagnostic of errors against the truth beyond `Z_THRESHOLD` standard deviations.
 
-    Nothing is yielded without such an error.
+    It contains the parameter with the largest z and the number of others. Relative errors below
+    `RELATIVE_TOLERANCE` are ignored. Nothing is yielded without such an error.
 
     Args:
         estimate: Estimate by one method.
@@ -357,7 +358,11 @@ def _run_score(
 def _run_diagnostics(
     run: Run, bodies_failure: TestbedError | None
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of verdict, model, recording, estimates and consistent bodies, in order."""
+    """Yield diagnostics of verdict, model, recording, estimates, consistent bodies, in order.
+
+    The verdict only with posteriors; a failed method only if its signal was recorded, or if all
+    methods failed.
+    """
     if run.posterior:
         yield from (each for each in run.verdict if each.code != WELL_CODE)
     missing_estimates = [
@@ -394,9 +399,10 @@ def _with_new_diagnostics(run: Run, diagnostics: Iterable[Diagnostic]) -> Run:
 
 
 def _with_drives(run: Run, settings: Settings, progress: Progress) -> Run:
-    """Add the drives to a run, as identified by the plate's estimate.
+    """Add the drives identified by the plate's estimate to a run.
 
-    In an experiment with their metrics; on failure with a diagnostic that has the reason.
+    Metrics of the drives are added in an experiment. A failure is not raised; it gives the
+    diagnostic "drives.missing" with the reason.
     """
     try:
         if run.recording.torque is None or "wrench" not in run.estimates:

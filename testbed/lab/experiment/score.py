@@ -62,6 +62,8 @@ def prediction_accuracies(
 ) -> dict[Signal, Accuracy]:
     """Prediction errors of estimates along a motion, by method.
 
+    About `MOTION_SAMPLES` samples, evenly spaced, are compared.
+
     Args:
         tree: The robot with its true inertias, under the recording's gravity.
         estimates: Estimates by method.
@@ -101,7 +103,10 @@ def _prediction_error(
     *,
     about_mean: bool,
 ) -> float | None:
-    """Rms prediction error of parameters over the rms true signal, largest of all units."""
+    """Rms prediction error of parameters over the rms true signal, largest of all units.
+
+    With `about_mean`, error and signal are taken about their means over the motion.
+    """
     columns = regressor(tree, motion, minimal)
     truth = minimal.values(barycentric(tree))
     signal, error = columns @ truth, columns @ (values - truth)
@@ -167,7 +172,8 @@ class Score:
     """Errors of a run's estimates against the truth, with metrics.
 
     Attributes:
-        errors: Errors by method: of delta_r, and of delta_d with friction.
+        errors: Errors by method: of the wrench's base parameters (delta_r), and of the torques'
+            base parameters (delta_d) with friction.
         metrics: Metrics that `[expect]` can bound, by name (docs/experiments.md); without those of
             a method that has no estimate, and without relative errors that have no scale.
         accuracy: Prediction errors by method.
@@ -197,8 +203,8 @@ def score(
 ) -> Score:
     """Compare the estimates of a run with the truth.
 
-    Relative rms errors are over delta_d, which both methods identify: for the plate it is S
-    delta_r.
+    Relative rms errors are over the torques' base parameters, delta_d, which both methods identify:
+    the plate's are computed from its own.
 
     Args:
         tree: The robot with its true inertias and friction, under the recording's gravity.
@@ -255,11 +261,11 @@ def _true_values(tree: Tree, estimate: Estimate, plant: SimulationTable) -> Arra
 
 
 def torque_set_errors(tree: Tree, values: Array, zeros: bool | Sequence[str]) -> Array:
-    """Relative errors of delta_d computed from parameters by the force plate.
+    """Relative errors of the torques' base parameters computed from the wrench's, (N_d,).
 
     Args:
         tree: The robot with its true inertias, under the recording's gravity.
-        values: delta_r, (N_r,).
+        values: Base parameters of the wrench, (N_r,).
         zeros: Known zeros, as in `minimal_set`.
     """
     wrench_set, torque_set = (
@@ -289,7 +295,10 @@ def _estimate_errors(
 def _term_scales(
     estimate: Estimate, truth: Array, motion: Motion, torque: Array | None
 ) -> Iterator[float]:
-    """Scales of the joint terms' relative errors, in the order of the terms."""
+    """Yield scales of the joint terms' relative errors, in the order of the terms.
+
+    As in `Errors.scale`; without measured torque the true coefficient alone. NaN for zero.
+    """
     if estimate.drives is None:
         return
     tree = estimate.drives.tree
@@ -356,6 +365,8 @@ def drive_metrics(
 ) -> dict[str, float]:
     """Metrics of the drives by name (docs/experiments.md); without metrics that have no scale.
 
+    Torque constants are compared with the true ratios, gear losses of a load friction included.
+
     Args:
         tree: The robot with its true inertias, friction and rotors.
         experiment: Experiment that made the recording.
@@ -392,7 +403,11 @@ def drive_metrics(
 def _law_errors(
     tree: Tree, drives: Sequence[DriveEstimate], load: Array
 ) -> Iterator[tuple[str, float]]:
-    """Largest relative errors of load, Coulomb and rotor coefficients, with metric names."""
+    """Yield names and values of metrics: largest relative error of load, Coulomb, rotor terms.
+
+    Over the joints with a true coefficient; a missing load term counts as zero, a missing other
+    term is left out.
+    """
     for name, law, truth, missing in (
         ("load", LOAD_FRICTION, load, 0.0),
         ("coulomb", COULOMB, COULOMB.coefficients(tree), np.nan),
@@ -464,7 +479,7 @@ def true_friction(truth: Truth, joint: int, speed: float) -> float:
 def _combined_metrics(
     tree: Tree, experiment: Experiment, findings: DriveIdentification
 ) -> dict[str, float]:
-    """Errors of the combined estimate from plate and torques, by metric."""
+    """Errors of the base parameters from plate and torques together, by metric."""
     zeros, combined = experiment.identification.zeros, findings.combined
     truth = minimal_set(tree, "wrench", zeros=zeros).values(barycentric(tree))
     is_uncertain = combined.sigma > 0  # known parameters have no z

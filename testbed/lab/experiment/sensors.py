@@ -17,7 +17,7 @@ from testbed.sensors.sensor_error import FULL_SCALE, SensorError
 
 
 class Sensor(Value):
-    """Sensor of a rig."""
+    """Sensor of a rig: base class of force plate, joint torques and encoders."""
 
     errors: Sequence[SensorError]
 
@@ -116,7 +116,7 @@ class Encoders(Sensor):
 
 
 def sensors_of(instrument: Instrument) -> tuple[Sensor, ...]:
-    """Encoders, joint torques and force plate of the table [measurement].
+    """Encoders, joint torques and force plate of the table [measurement], with their errors.
 
     Args:
         instrument: The table.

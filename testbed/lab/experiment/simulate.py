@@ -70,7 +70,10 @@ class SampledMotion:
         return make_interp_spline(self.samples.t, self.samples.q, k=5)
 
     def at(self, t: Array) -> Motion:
-        """Positions, velocities and accelerations at times t, (M,) [s]."""
+        """Positions, velocities and accelerations at times t, (M,) [s].
+
+        Before and after the motion: the first or last position, at rest.
+        """
         is_moving = (t >= 0) & (t <= self.period)
         rates = [
             is_moving[:, None] * self._spline(self.path_time(t), order)
@@ -94,7 +97,7 @@ def simulate(
     forces: ForceFunction | None = None,
     installed: int | None = None,
 ) -> Recording:
-    """Simulate a robot on its bedplate and measure it.
+    """Simulate a robot on its bedplate along a motion, measured by the rig's sensors.
 
     Args:
         rig: Robot, plant and sensors.
@@ -155,6 +158,9 @@ def _reference_motion(
     rig: Rig, motion: ReferenceMotion | Motion, seconds: float
 ) -> tuple[ReferenceMotion, float, float]:
     """Reference of the controller, and start and end of the recording [s].
+
+    A motion from rest to rest has its own start and end; samples end at their last time or at
+    `seconds`, whichever is earlier.
 
     Raises:
         SettingsError: The motion has another number of joints than the robot.
@@ -222,7 +228,18 @@ def _measured_recording(
     seed: int,
     installed: int | None,
 ) -> Recording:
-    """Recording by the rig's sensors of a simulated motion."""
+    """Recording by the rig's sensors of a simulated motion.
+
+    Contains the temperature if an effect models it, and no torque or wrench without such a sensor.
+
+    Args:
+        rig: Robot, plant and sensors.
+        rollout: Simulated true signals.
+        tare: Static wrench of the pedestal, (6,) [N, N m].
+        metadata: Metadata of the recording.
+        seed: Seed of all noise.
+        installed: Seed of the constant signs and phases of sensor errors; default `seed`.
+    """
     names, time = rig.robot.names, rollout.time
     recording = measure(
         rig.instrument, names, time, rollout.truth, tare, metadata, seed, installed
@@ -248,7 +265,11 @@ def _measured_recording(
 
 
 def _recording_metadata(rig: Rig, tree: Tree, rollout: Rollout, seed: int) -> Metadata:
-    """Metadata of a simulated recording."""
+    """Metadata of a simulated recording.
+
+    Robot, gravity, geometry, hash of the model file, force sensors' placements, seed, versions, rms
+    tracking errors, and a diagnostic for each joint at its torque limit.
+    """
     saturated = (
         make_diagnostic("motion.saturated", name, share)
         for name, share in zip(tree.names, rollout.saturated_fraction, strict=True)

@@ -22,7 +22,7 @@ SIGNAL_NAMES = {"wrench": "base wrench", "torque": "rigid-body torques"}
 
 
 def summary(run: Run) -> list[str]:
-    """Sentences that summarise a run, without the verdict on its claim.
+    """Sentences on a run: prediction and parameter errors, data, number of warnings.
 
     Args:
         run: Run with or without estimates.
@@ -49,7 +49,8 @@ def accuracy_lines(run: Run) -> list[str]:
 def headline(run: Run) -> str:
     """First sentences of a summary: prediction errors by force plate and by joint torques.
 
-    For a recording without known truth, the verdict on its estimates instead.
+    For a recording without known truth, or with posteriors, the verdict on its estimates and the
+    parameters it determines instead.
 
     Args:
         run: Run with or without estimates.
@@ -122,7 +123,10 @@ def torque_constant_remark(run: Run) -> str:
 
 
 def _parameter_errors(run: Run) -> list[str]:
-    """Sentence with median and largest errors of the minimal parameters by method, or none."""
+    """Sentence with median and largest errors of the base parameters by method.
+
+    Empty without known truth.
+    """
     if run.score is None:
         return []
     phrases = []
@@ -145,7 +149,7 @@ def _parameter_errors(run: Run) -> list[str]:
 def determined_parameter_lines(
     posteriors: Iterable[Posterior], *, without_reservations: bool
 ) -> Iterator[str]:
-    """Sentences on the parameters that a recording determines, one per method.
+    """Yield a sentence on the parameters that a recording determines, for each method.
 
     Args:
         posteriors: Estimates with the model file as prior, one per method.
@@ -167,9 +171,10 @@ def determined_parameter_lines(
 
 
 def _validation_residuals(run: Run) -> list[str]:
-    """Sentence with the residuals of the validation recording relative to its signals, or none.
+    """Sentence with the residuals of the validation recording relative to its signals.
 
-    Residuals contain the sensor noise; beside each is the expected value.
+    Residuals contain the sensor noise; each is followed by its expected value. Empty without
+    validation.
     """
     phrases = []
     for method, validation in run.validation.items():
@@ -219,7 +224,7 @@ def claim_verdict(run: Run) -> str:
 
 
 def _warning_count(run: Run) -> list[str]:
-    """Sentence with the number of warnings, or none."""
+    """Sentence with the number of warnings; empty without warnings."""
     count = len(sentences(run.diagnostics))
     verb = "is" if count == 1 else "are"
     return [f"There {verb} {count_with_noun(count, 'warning')}."] if count else []

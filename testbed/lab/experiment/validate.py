@@ -20,13 +20,14 @@ def validate(
     Args:
         estimate: Estimate of `identify`.
         data: Another recording of the same robot and sensors.
-        settings: Filters of its signals; default those of the estimate.
+        settings: Filters of the recording's signals; default those of the estimate.
 
     Returns:
         Residuals of the recording channel by channel, and their expected size.
 
     Raises:
         RecordingError: The recording cannot be used for the estimate's signal.
+        SettingsError: `estimate` is not an `Estimate`.
     """
     if not isinstance(estimate, Estimate):
         raise SettingsError(

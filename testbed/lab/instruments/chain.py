@@ -107,7 +107,11 @@ class Instrument:
             )
 
     def _apply_plate_model(self, plate: str) -> None:
-        """Set noise and range with default values to the values of a plate model."""
+        """Set force noise, moment noise and full scale, where at default, to a plate model's.
+
+        Raises:
+            SettingsError: The name of the plate model is unknown.
+        """
         if plate not in PLATE_MODELS:
             raise SettingsError(str(UnknownName("plate", plate, PLATE_MODELS)))
         for name in ("force_noise", "moment_noise", "full_scale"):
@@ -126,6 +130,9 @@ class Instrument:
 
         Args:
             names: Joint names.
+
+        Returns:
+            Chain of errors by signal: "position", "torque", "wrench", "tare"; empty for no errors.
 
         Raises:
             SettingsError: An error is for an unknown joint, or values of some joints are missing.
@@ -180,12 +187,15 @@ def measure(
 ) -> Recording:
     """Simulated recording: true signals with the instrument's errors.
 
+    Positions, torques and wrench pass their chains of errors; the tare is exact unless the
+    instrument measures it.
+
     Args:
-        instrument: Sampling and sensor errors.
+        instrument: Sensor errors; its rate is used for a measured tare only.
         names: Joint names.
         time: Times of the samples, (M,) [s].
         truth: True signals.
-        tare: Known static wrench of the pedestal, (6,) [N, N m].
+        tare: True static wrench of the pedestal, (6,) [N, N m].
         metadata: Metadata of the recording.
         seed: Seed of the noise.
         installed: Seed of signs, phases and crosstalk, which are drawn once; default `seed`.

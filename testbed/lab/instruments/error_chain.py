@@ -18,7 +18,7 @@ _FIXED_STREAMS = {"encoder_noise": 0, "torque_noise": 1, "plate_noise": 2}
 def random_stream(
     kind: str, seed: int, number: int = 0, use: str = ""
 ) -> np.random.Generator:
-    """Random generator of a sensor error.
+    """Random generator of a sensor error, independent for each combination of the arguments.
 
     Args:
         kind: Kind of the error.
@@ -37,7 +37,7 @@ def random_stream(
 
 
 def numbered_errors(chain: Iterable[SensorError]) -> Iterator[tuple[SensorError, int]]:
-    """Sensor errors, each with its number among the errors of the same kind."""
+    """Yield sensor errors, each with its number among the errors of its kind, from 0."""
     counts: Counter[str] = Counter()
     for error in chain:
         yield error, counts[error.kind]

@@ -49,12 +49,16 @@ class Payload(Effect):
 
     @property
     def body(self) -> Inertia:
-        """Inertia of the payload in the frame of the joint's body."""
+        """Mass, centre and inertia of the payload in the frame of the joint's body."""
         centre, moments = (np.broadcast_to(v, 3) for v in (self.centre, self.inertia))
         return Inertia.about_centre(self.mass, centre, np.diag(moments))
 
     def robot_with_effect(self, tree: Tree) -> Tree:
-        """Robot with the payload added to the link."""
+        """Robot with the payload added to the link.
+
+        Raises:
+            SettingsError: The robot has no such joint.
+        """
         if self.joint and self.joint not in tree.names:
             raise SettingsError(
                 f"payload: {UnknownName('joint', self.joint, tree.names)}"
@@ -96,7 +100,11 @@ class GearedRotor(Effect):
     def robot_with_effect(self, tree: Tree) -> Tree:
         """Robot with rotor inertias added to the carrying links and to the joints.
 
-        The carrying link has the inertia of the rotor at rest, the joint ratio^2 times the inertia.
+        The carrying link has the inertia of the rotor at rest, for a rotor with half its inertia
+        across its axis; the joint's rotor inertia grows by ratio^2 times the inertia.
+
+        Raises:
+            SettingsError: A joint with a rotor is prismatic.
         """
         for joint, inertia, ratio in self._rotors(tree):
             if not tree.joints[joint].revolute:
@@ -114,9 +122,9 @@ class GearedRotor(Effect):
         return tree
 
     def add_to_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Add the rotors to MuJoCo's model, welded to the carrying links.
+        """Add the rotors to MuJoCo's model, as massless bodies welded to the carrying links.
 
-        The inertia of their spin is added to the armature of the joints.
+        The armature of the joints is set to the rotor inertias of `tree`, spin included.
         """
         for joint, inertia, _ in self._rotors(tree):
             tree_joint = tree.joints[joint]
@@ -155,7 +163,7 @@ class GearedRotor(Effect):
             gear.solref, gear.solimp = [2 * step, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
 
     def _rotors(self, tree: Tree) -> Iterator[tuple[int, float, float]]:
-        """Joint index, inertia [kg m^2] and gear ratio of each rotor."""
+        """Yield joint index, inertia [kg m^2] and gear ratio of each rotor with neither zero."""
         sizes, ratios = (
             np.broadcast_to(joint_array(value), tree.n)
             for value in (self.inertia, self.ratio)
@@ -273,7 +281,7 @@ class Tilt(Effect):
     direction: float = 0.0
 
     def change_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Rotate the gravity vector of MuJoCo's model."""
+        """Rotate the gravity vector of MuJoCo's model about the horizontal axis."""
         del prefix
         axis = np.array([np.cos(self.direction), np.sin(self.direction), 0.0])
         spec.option.gravity = rotvec_to_matrix(self.angle * axis) @ tree.gravity

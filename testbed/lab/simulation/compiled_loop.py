@@ -41,7 +41,10 @@ class Engine(NamedTuple):
 
 
 class State(NamedTuple):
-    """MuJoCo's live state arrays, with joint indices and a buffer."""
+    """Views of MuJoCo's state arrays, with joint indices and a buffer.
+
+    Arrays are by MuJoCo's velocities, (nv,), except `motor`, by joint, and `sensor_data`.
+    """
 
     position: Array
     velocity: Array
@@ -66,7 +69,10 @@ class Clock(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Logged signals, one row per sample."""
+    """Logged signals, one row per sample.
+
+    Torque, velocity and acceleration are by joint, losses by MuJoCo's velocities.
+    """
 
     torque: Array
     velocity: Array  # at the first instant of the sample
@@ -101,9 +107,10 @@ def simulate_samples(
 ) -> None:
     """Simulate the plant under computed torque for as many samples as the log has rows.
 
-    The torque is held over a sample. Means over a sample are by the trapezoidal rule, and by
-    Simpson's rule if its forces are smooth: the middle of a step is then interpolated from
-    positions and velocities at its ends.
+    The torque is held over a sample. Means over a sample are by the trapezoidal rule. If all joints
+    with dry friction slip, the sample has `smooth_steps` longer steps, and means by Simpson's rule:
+    the middle of a step is then interpolated from positions and velocities at its ends. Returns
+    early if the force callback has failed.
 
     Args:
         engine: Addresses of MuJoCo's functions and structures.
@@ -187,6 +194,9 @@ def motor_torque(
 ) -> None:
     """Set the motor torques for a sample: computed torque, limited to the effort; compiled.
 
+    Feedforward + M (w^2 e + 2 `DAMPING` w de/dt), with mass matrix M, bandwidth w and position
+    error e.
+
     Args:
         drive: The controller.
         k: Number of the sample.
@@ -219,7 +229,15 @@ def _copy(source: Array, target: Array) -> None:
 
 @compiled_function
 def _has_smooth_forces(state: State, period: float) -> bool:
-    """Test whether every joint with dry friction slips, without reversal within a sample."""
+    """Test whether every joint with dry friction slips, without reversal within a sample.
+
+    A joint slips if MuJoCo's constraint force equals dry friction within `SLIP_TOLERANCE`, and does
+    not reverse if its speed exceeds `MIN_SPEED_CHANGES` times its change over the sample.
+
+    Args:
+        state: State of the plant.
+        period: Duration of a sample [s].
+    """
     for i in range(len(state.dry_friction)):
         friction = state.dry_friction[i]
         if abs(abs(state.constraint_force[i]) - friction) > SLIP_TOLERANCE * friction:

@@ -29,7 +29,10 @@ in the order of the tree; the forces are held over a step."""
 
 
 class Effect(KindTable):
-    """Effect in the simulated plant that the estimator's model does not contain."""
+    """Effect in the simulated plant that the estimator's model does not contain.
+
+    Methods of this base class have no effect; subclasses override those that apply.
+    """
 
     owns_friction: ClassVar[bool] = False
     """True if the effect replaces the joints' dry and viscous friction in the plant."""
@@ -66,7 +69,7 @@ class Effect(KindTable):
         return None
 
     def true_coefficients(self, tree: Tree) -> Mapping[JointLaw, Array]:
-        """True coefficients of joint torque laws that the effect adds, (n,) or ().
+        """True coefficients of joint torque laws that the effect adds, by law, (n,) or ().
 
         Args:
             tree: The robot, with its friction.

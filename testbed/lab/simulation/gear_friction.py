@@ -49,10 +49,11 @@ def solve_friction(
     rotor: Array,
     friction: Array,
 ) -> None:
-    """Solve for the gear friction over a step, by Gauss-Seidel sweeps; compiled.
+    """Solve for the gear friction over a step, by Gauss-Seidel sweeps over the joints; compiled.
 
     The equation of a joint is linear for each sign of the load, except for viscous friction of the
-    load: its speed, in the middle of the step, is taken from the previous sweep.
+    load: its speed, in the middle of the step, is taken from the previous sweep. Sweeps end at
+    `CONVERGENCE_TOLERANCE` or `MAX_SWEEPS`.
 
     Args:
         gears: Friction coefficients.
@@ -104,13 +105,16 @@ def _joint_friction(
 ) -> float:
     """Friction of a joint over a step, given the friction of the other joints [N m or N].
 
+    If dry friction and load loss can stop the joint within the step, or the gear is self-locking,
+    the friction that brings its velocity to zero.
+
     Args:
         gears: Friction coefficients.
         j: Joint index.
         step: Integration step [s].
         velocity: Velocity at the beginning of the step [rad/s or m/s].
-        acceleration: Acceleration without the friction of this joint.
-        inverse_mass: Acceleration of this joint per force on it.
+        acceleration: Acceleration without the friction of this joint [rad/s^2 or m/s^2].
+        inverse_mass: Acceleration of this joint per force on it [1/(kg m^2) or 1/kg].
         force: Force on the joint without friction [N m or N].
         rotor: Rotor inertia [kg m^2 or kg].
         previous: Friction of this joint after the previous sweep [N m or N].

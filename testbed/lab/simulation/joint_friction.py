@@ -40,7 +40,7 @@ class LawFriction(Effect):
     """Base class of friction by velocity laws: coefficients times smoothed columns."""
 
     def force_function(self, tree: Tree, step: float) -> ForceFunction:
-        """Function for the torques of the friction laws, as forces on the joints."""
+        """Function for the forces of the friction laws: minus coefficient times smoothed column."""
         del step
         terms = self.true_coefficients(tree)
 
@@ -98,7 +98,11 @@ class FrictionTerm(LawFriction):
     coefficient: PerJoint = 1.0
 
     def true_coefficients(self, tree: Tree) -> Mapping[JointLaw, Array]:
-        """Coefficients of the friction law named by `term`."""
+        """Coefficients of the friction law named by `term`, (n,) or ().
+
+        Raises:
+            SettingsError: The law depends on more than the velocity, such as the load.
+        """
         del tree
         law = joint_law(self.term)
         if law.by or law.parameter == ROTOR.parameter:
@@ -138,7 +142,7 @@ class LoadFriction(Effect):
     speed: Annotated[PerJoint, Gt(0)] = 0.08
 
     def gear_friction(self, tree: Tree) -> Gears:
-        """Gear friction coefficients of all joints."""
+        """Gear friction coefficients of all joints; dry and viscous friction are the tree's."""
         share, one = joint_array(self.share), np.ones(tree.n)
         return Gears(
             coulomb=COULOMB.coefficients(tree),
@@ -172,12 +176,12 @@ class WarmingDrives(Effect):
     viscous: PerJoint = -0.02
 
     def temperature(self, time: Array) -> Array:
-        """Temperature of the drives, (M, n) or (M, 1) [degC]."""
+        """Temperature of the drives, (M, n) or (M, 1) [degC]; 25 degC up to t = 0."""
         warm = -np.expm1(-np.maximum(time, 0.0) / self.time_constant)
         return ROOM_TEMPERATURE + np.outer(warm, joint_array(self.rise))
 
     def force_function(self, tree: Tree, step: float) -> ForceFunction:
-        """Function for the change of viscous friction against 25 degC, as forces."""
+        """Function for forces of the change of viscous friction since 25 degC."""
         del step
         change = self.true_coefficients(tree)[WARM_VISCOUS]
 
@@ -189,7 +193,7 @@ class WarmingDrives(Effect):
         return push
 
     def true_coefficients(self, tree: Tree) -> Mapping[JointLaw, Array]:
-        """Coefficients of viscous friction's temperature dependence, (n,)."""
+        """Change of viscous friction per kelvin, by the law `WARM_VISCOUS`, (n,)."""
         return {WARM_VISCOUS: VISCOUS.coefficients(tree) * joint_array(self.viscous)}
 
 
@@ -218,7 +222,10 @@ class LuGreFriction(Effect):
     damping: Annotated[PerJoint, Ge(0)] = 50.0
 
     def force_function(self, tree: Tree, step: float) -> ForceFunction:
-        """Function for the LuGre friction as forces; bristles are undeflected at first."""
+        """Function for the forces of LuGre friction; bristles are undeflected at first.
+
+        The function keeps the deflection between calls, one call per step.
+        """
         dry, viscous = COULOMB.coefficients(tree), VISCOUS.coefficients(tree)
         static, speed = joint_array(self.static), joint_array(self.speed)
         stiffness, damping = joint_array(self.stiffness), joint_array(self.damping)

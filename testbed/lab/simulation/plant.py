@@ -139,6 +139,8 @@ class _CheckState(NamedTuple):
 def _driven_state(plant: Plant, tree: Tree, path: Path, moving: Array) -> _CheckState:
     """Forces in the plant in a random state near the middle of all joint ranges.
 
+    The motors apply the tree's inverse dynamics, friction and rotors included.
+
     Args:
         plant: The robot on its bedplate.
         tree: The robot as read.
@@ -249,7 +251,9 @@ def build_plant(
 
 
 def robot_spec(model: ModelFile) -> mujoco.MjSpec:
-    """MuJoCo's editable model of a model file, without additions.
+    """MuJoCo's editable model of an MJCF or URDF file, without additions.
+
+    Fixed links of a URDF stay separate bodies, inertias unchanged; a link "world" is renamed.
 
     Args:
         model: The model file, and how it is read.
@@ -281,7 +285,7 @@ def robot_spec(model: ModelFile) -> mujoco.MjSpec:
 
 
 def _robot_on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
-    """World with a sensing plate at its origin and the robot attached to the plate."""
+    """World with a plate at its origin, force and torque sensors, and the robot attached."""
     spec = mujoco.MjSpec()
     spec.compiler.boundmass = spec.compiler.boundinertia = MIN_COMPILED_MASS
     site = spec.worldbody.add_body(name=_PLATE_NAME).add_site(name=_PLATE_NAME)
@@ -293,9 +297,10 @@ def _robot_on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
 def _configure(
     spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str, changed: Collection[str]
 ) -> None:
-    """Set options, friction and armature; add motors and joint sensors.
+    """Set integrator, gravity, friction and armature; add motors and joint sensors.
 
-    Dry friction is Coulomb's down to 0.01 rad/s.
+    Runge-Kutta of fourth order, without contacts and torque limits. Dry and viscous friction are
+    zero where the tree's are. Dry friction is Coulomb's down to 0.01 rad/s.
 
     Args:
         spec: MuJoCo's editable model, changed.
@@ -338,7 +343,11 @@ def _configure(
 
 
 def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
-    """Add force and torque sensors at the cut before a link, in the sensor's frame."""
+    """Add force and torque sensors between a link and its parent, in the sensor's frame.
+
+    Raises:
+        UnknownName: The model has no such link.
+    """
     # without the world
     bodies = {each.name.removeprefix(prefix): each for each in spec.bodies[1:]}
     if sensor.link not in bodies:
@@ -415,7 +424,15 @@ def _sensor_name(signal: str, joint: str) -> str:
 
 
 def _velocity_ratios(model: mujoco.MjModel, order: Array) -> Array:
-    """Ratios of MuJoCo's velocities to the joints' velocities, (nv, n)."""
+    """Ratios of MuJoCo's velocities to the joints' velocities, (nv, n).
+
+    One for a joint's own velocity; for a follower of a joint equality, the linear coefficient of
+    the equality times the row of its leader.
+
+    Args:
+        model: The compiled model.
+        order: Index of each joint among MuJoCo's velocities, (n,).
+    """
     ratios = np.zeros((model.nv, len(order)))
     ratios[order, np.arange(len(order))] = 1.0
     for gear in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)):
@@ -427,7 +444,10 @@ def _velocity_ratios(model: mujoco.MjModel, order: Array) -> Array:
 
 
 def _plate_sensors(model: mujoco.MjModel) -> tuple[int, int] | None:
-    """Indices of force and torque sensors at a site welded to the world, or None."""
+    """Indices of the plate's force and torque sensors among MuJoCo's sensors.
+
+    The plate is the first site welded to the world with both sensors; None without such a site.
+    """
     sites = list(
         zip(model.sensor_type.tolist(), model.sensor_objid.tolist(), strict=True)
     )
@@ -440,7 +460,9 @@ def _plate_sensors(model: mujoco.MjModel) -> tuple[int, int] | None:
 
 
 def _static_wrench(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> Array:
-    """Static wrench of fixed bodies above the plate's sensor, (6,) [N, N m].
+    """Wrench that supports the fixed bodies on the plate's sensor, (6,) [N, N m].
+
+    World axes, about the world's origin.
 
     Args:
         model: The compiled model.

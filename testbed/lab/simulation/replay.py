@@ -30,9 +30,10 @@ def replay_errors(
 ) -> Array:
     """Simulated minus recorded positions under the recorded torques, (M, n) [rad or m].
 
-    The simulation is open-loop. Motors have the gears and delays of the model file, by default
-    ratio one and no delay. Between samples the torque is linear in time. Initial positions and
-    velocities are those of a cubic fit.
+    The simulation is open-loop, without contacts, and starts `START_INTERVAL` after the recording's
+    begin. Motors have the gears and delays of the model file, by default ratio one and no delay.
+    Between samples the torque is linear in time. Initial positions and velocities are those of a
+    cubic fit to the positions within `START_INTERVAL` of the start.
 
     Args:
         model: The model file, and how it is read.
@@ -84,8 +85,8 @@ def _initialise_delays(
     Args:
         plant: Model with motors.
         data: State of the model, changed.
-        time: Times of the samples from the start, (M,) [s].
-        torque: Recorded torques, (M, n) [N m or N].
+        time: Times of the samples from the start of the simulation, (M,) [s].
+        torque: Recorded torques, (M, n) [N m or N]; interpolated linearly.
     """
     for actuator in np.flatnonzero(plant.actuator_delay).tolist():
         history_times = plant.opt.timestep * np.arange(
@@ -100,7 +101,15 @@ def _initialise_delays(
 def _motorised_model(
     model: ModelFile, names: Sequence[str], step: float
 ) -> mujoco.MjModel:
-    """Compiled robot with a motor at each joint, with the file's gear and delay."""
+    """Compiled robot with a motor at each joint, without contacts.
+
+    Gear ratio and delay are those of the MJCF file's actuator of the joint, else one and zero.
+
+    Args:
+        model: The model file, and how it is read.
+        names: Joint names, in the order of the motors.
+        step: Integration step [s].
+    """
     spec = robot_spec(model)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)

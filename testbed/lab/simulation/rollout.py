@@ -130,8 +130,11 @@ class SampledLoop:
     def run(self, samples: range) -> Truth:
         """Simulate the next samples along the reference and return the true signals.
 
+        The plant's state continues from the previous call. An exception of the function for
+        additional forces is raised again.
+
         Args:
-            samples: Numbers of the samples.
+            samples: Numbers of the samples, consecutive to those of the previous call.
         """
         plant, model, n = (
             self._plant,
@@ -171,7 +174,10 @@ class SampledLoop:
 
 
 def _smooth_step_count(model: mujoco.MjModel, period: float) -> int:
-    """Number of steps per sample for smooth forces, by the fastest damping or spring.
+    """Number of integration steps per sample for smooth forces.
+
+    Steps are at most `MAX_SMOOTH_STEP`, and `MAX_DECAY_FRACTION` over the fastest rate of damping
+    (damping / inertia) or springs (natural frequency).
 
     Args:
         model: MuJoCo's model.
@@ -193,9 +199,10 @@ def _smooth_step_count(model: mujoco.MjModel, period: float) -> int:
 
 
 class _ForceCallback:
-    """C callback that applies additional forces to the joints before every step.
+    """C callback that applies additional forces and gear friction to the joints before every step.
 
-    An exception sets `failed`, which stops the compiled loop, and is raised by `check`.
+    Its address is 0 if there are no such forces. An exception sets `failed`, which stops the
+    compiled loop, and is raised by `check`.
     """
 
     def __init__(
@@ -235,7 +242,8 @@ def _gear_friction(
 ) -> Callable[[], Array]:
     """Function for the gear friction over the next step, (n,) [N m or N].
 
-    It takes into account the other forces on the joints.
+    Each call solves the equation of `solve_friction` with the other forces on the joints at
+    MuJoCo's current state, from the friction of the previous call.
 
     Args:
         gears: Friction coefficients of the gears.
@@ -283,7 +291,7 @@ class Rollout:
     """Result of a simulated run.
 
     Attributes:
-        time: First instant of each sample, (M,) [s].
+        time: First instant of each sample, (M,) [s], without the warm-up.
         truth: Sampled true signals.
         tracking_error: Rms tracking error of each joint, (n,) [rad or m].
         saturated_fraction: Fraction of samples at the torque limit of each joint, (n,).
@@ -307,7 +315,7 @@ def simulate_motion(
     forces: ForceFunction | None = None,
     gears: Gears | None = None,
 ) -> Rollout:
-    """Simulate a motion under computed-torque control.
+    """Simulate a motion under computed-torque control, in blocks of `_BLOCK_SAMPLES` samples.
 
     Args:
         plant: The robot on its bedplate.
@@ -323,7 +331,8 @@ def simulate_motion(
         gears: Load-dependent gear friction, solved before every step, in place of the plant's.
 
     Raises:
-        SimulationDiverged: The robot did not follow the reference.
+        SimulationDiverged: The simulation became unstable, or the rms tracking error of a joint is
+            larger than its range of motion.
     """
     lead, samples = (
         round(sampling.warm_up * sampling.rate),
@@ -361,7 +370,7 @@ def _checked_rollout(
         tree: The robot, for joint names.
 
     Raises:
-        SimulationDiverged: The tracking error of a joint is larger than its range of motion.
+        SimulationDiverged: The rms tracking error of a joint is larger than its range of motion.
     """
     count = len(time)
     whole = {

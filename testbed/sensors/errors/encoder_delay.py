@@ -48,7 +48,10 @@ class EncoderDelay(EncoderError):
 
     @classmethod
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
-        """Time derivative of the wrench by each joint's motion, (rows, 6, n)."""
+        """Derivative of the residual wrench with respect to each joint's delay, (rows, 6, n).
+
+        The time derivative of the wrench due to the motion of that joint alone.
+        """
         joint_columns = [
             predicted.joint_time_derivative(j) for j in range(predicted.tree.n)
         ]

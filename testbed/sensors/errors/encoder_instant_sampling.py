@@ -16,7 +16,7 @@ class EncoderInstantSampling(SensorError):
     """Positions at the first instant of each sample; other signals are means.
 
     A controller's counter latches positions in this way. Compared with an averaging plate,
-    positions are half a sampling time early. Exact for smooth motions (`first_instants`).
+    positions are half a sampling time early. Exact for smooth motions (`values_at_first_instants`).
 
     Source    How counters work; no size.
     """

@@ -38,7 +38,14 @@ class PlateAntiAliasFilter(SensorError):
     order: Annotated[int, Ge(1), Le(8)] = 2
 
     def check_rate(self, rate: float) -> None:
-        """Check that the cutoff is not too low for the rounding of the filter."""
+        """Check that the cutoff is not too low for the rounding of the filter.
+
+        Args:
+            rate: Sampling rate [Hz].
+
+        Raises:
+            SettingsError: The cutoff is below `MIN_RELATIVE_CUTOFF` of the rate.
+        """
         if self.cutoff < MIN_RELATIVE_CUTOFF * rate:
             raise SettingsError(
                 f"{self.kind}: cutoff = {self.cutoff:g} Hz is too low for a rate of {rate:g} Hz; "

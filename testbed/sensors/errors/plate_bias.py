@@ -72,7 +72,10 @@ class PlateBias(PlateError):
 
     @classmethod
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
-        """Identity for the plate, and transforms of the force sensors' offsets, (rows, 6, k)."""
+        """Identity for the plate, minus the transforms for force sensors, (rows, 6, k).
+
+        The transforms, from each further force sensor to the first sensor, are filtered.
+        """
         rows = np.broadcast_to(np.eye(6), (len(predicted.time), 6, 6))
         if not predicted.tree.cuts:
             return rows

@@ -41,5 +41,5 @@ class PlateClockRate(ClockError):
 
     @classmethod
     def delay_derivative(cls, time: Array) -> Array | float:
-        """Derivative of the delay by the rate error: the time, (M,) [s]."""
+        """Derivative of the delay with respect to the rate error: the time, (M,) [s]."""
         return time

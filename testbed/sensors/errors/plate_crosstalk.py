@@ -86,7 +86,7 @@ class PlateCrosstalk(PlateError):
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Derivative by the sensitivities to loads of other channels, (M, 6, 30)."""
+        """Derivative with respect to the sensitivities to loads of other channels, (M, 6, 30)."""
         return np.asarray(
             PlateMatrix.derivative(signal, time, neutral)[..., OFF_DIAGONAL]
         )

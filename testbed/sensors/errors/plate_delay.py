@@ -50,7 +50,7 @@ class PlateDelay(ClockError):
 
     @classmethod
     def delay_derivative(cls, time: Array) -> Array | float:
-        """Derivative of the delay by its coefficient: 1."""
+        """Derivative of the delay with respect to its coefficient: 1."""
         del time
         return 1.0
 

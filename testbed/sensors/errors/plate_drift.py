@@ -45,6 +45,6 @@ class PlateDrift(PlateError):
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Time times the identity, (M, 6, 6) [s]."""
+        """Derivative with respect to the drifts: time times the identity, (M, 6, 6) [s]."""
         del signal, neutral
         return time[:, None, None] * np.eye(6)

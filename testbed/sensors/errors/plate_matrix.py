@@ -64,7 +64,7 @@ class PlateMatrix(PlateError):
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Derivative of the reading by the entries of the matrix, (M, 6, 36)."""
+        """Derivative of the reading with respect to the matrix, row by row, (M, 6, 36)."""
         del time, neutral
         columns = np.zeros((len(signal), 6, 6, 6))
         columns[:, range(6), range(6)] = signal[:, None]

@@ -56,7 +56,10 @@ class PlatePose(PlateError):
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Derivative by rotation and translation, (M, 6, 6): cross products with the axes."""
+        """Derivative with respect to rotation and translation, at zero, (M, 6, 6).
+
+        Cross products of force and moment with the axes.
+        """
         del time, neutral
         force, moment = signal[:, :3], signal[:, 3:]
         columns = np.zeros((len(signal), 6, 6))

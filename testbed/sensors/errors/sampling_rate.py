@@ -25,7 +25,7 @@ class SamplingRate(SystematicError):
 
     @classmethod
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the residual by the rate, (rows, 6, 1).
+        """Derivative of the residual wrench with respect to the rate error, (rows, 6, 1).
 
         Velocities change by the error, accelerations by twice the error.
         """

@@ -1,8 +1,4 @@
-"""Diagnostics of an estimate and its recording: implausible signals, masses, friction, residuals.
-
-The tests need no statistics of the residuals and no masses of the model file: they compare the data
-with each other, with limits, and with parameters that rigid bodies can have.
-"""
+"""Diagnostics of estimate and recording: implausible signals, masses, friction, residuals."""
 
 from __future__ import annotations
 
@@ -44,12 +40,9 @@ class Thresholds:
 
     Attributes:
         relative_sigma: Sigma relative to a parameter, above which the parameter is uncertain.
-        small_sigma: Sigma relative to the largest parameter of the same unit, below which a
-            parameter is not uncertain.
-        max_condition: Condition number of the scaled equations, above which an estimate is
-            doubtful.
-        negative_share: Magnitude of a negative mass or friction, relative to the weight or the
-            torque's rms, above which it is an error.
+        small_sigma: Sigma relative to its unit's largest parameter, below which it is negligible.
+        max_condition: Condition number of the scaled equations, above which there is a warning.
+        negative_share: Largest tolerated negative mass or friction, relative to weight or torque.
         weight_difference: Relative difference of two weights that should be equal.
         relative_residual: Relative residual of a channel, above which it is poorly explained.
         useless_residual: Relative residual above which a prediction is worse than zero.
@@ -59,13 +52,11 @@ class Thresholds:
         factor_error: Difference of that factor from one, above which it is the cause.
         min_values_per_unknown: Smallest number of values per unknown for valid standard deviations.
         outside_range: Fraction of a joint's range by which its encoder may exceed the range.
-        max_effort_ratio: Ratio of measured torque to the motor's maximum, above which it is
-            impossible.
+        max_effort_ratio: Largest possible ratio of a measured torque to the motor's maximum.
         extreme_share: Fraction of the samples at one extreme value, above which it is saturated.
         extreme_ratio: Number of samples at the extreme value relative to the next value, at a stop.
         min_repeats: Smallest number of repeated samples that is reported.
-        repeats_ratio: Ratio of samples repeated in all channels to their number by chance, above
-            which they are reported.
+        repeats_ratio: Largest tolerated ratio of repeated samples to their number by chance.
     """
 
     relative_sigma: float = 0.3
@@ -107,6 +98,9 @@ def diagnostics(
 ) -> tuple[Diagnostic, ...]:
     """Diagnostics of the faults of a recording that one method's data reveal.
 
+    Number of values, encoders, channels, repeated samples; tare and mass, or motor limits and
+    friction; residuals; and, if mass or friction is not negative, the test of rigid bodies.
+
     Args:
         estimate: Estimate from the recording.
         problem: Problem of the estimate, with tree, joint limits and tare.
@@ -137,7 +131,7 @@ def diagnostics(
 
 
 def accuracy_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Diagnostics of an estimate's accuracy: condition number, noise, uncertain parameters."""
+    """Diagnostics of an estimate's condition number (over 1e3), noise, and sigmas (over 30 %)."""
     subject = f"the {estimate.method} estimate"
     if estimate.condition > THRESHOLDS.max_condition:
         yield make_diagnostic(
@@ -169,7 +163,7 @@ def accuracy_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 
 
 def _few_values_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Diagnostic of too few values per unknown."""
+    """Diagnostic of fewer than two measured values per unknown."""
     unknown_count, value_count = (
         len(estimate.values) + len(estimate.nuisances),
         sum(estimate.samples),
@@ -189,7 +183,7 @@ def _few_values_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 def _repeated_sample_diagnostics(
     estimate: Estimate, repeats: Repeats
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of poses, or samples of all channels, that repeat more often than by chance."""
+    """Diagnostics of repeated poses (over 10 %) and of whole samples (over tenfold by chance)."""
     if repeats.repeated_poses > MAX_HELD_FRACTION * repeats.pairs:
         yield make_diagnostic(
             "encoder.held", "the poses", repeats.repeated_poses / repeats.pairs
@@ -212,7 +206,7 @@ def _repeated_sample_diagnostics(
 
 
 def _encoder_diagnostics(tree: Tree, position: Array) -> Iterator[Diagnostic]:
-    """Diagnostics of positions outside the joints' ranges, and of joints that hardly move."""
+    """Diagnostics of positions outside a range (by 2 %), or of resting joints (0.02 rad, 2 mm)."""
     for joint, q in zip(tree.joints, position.T, strict=True):
         unit, subject = (
             "rad" if joint.revolute else "m",
@@ -242,10 +236,7 @@ def _encoder_diagnostics(tree: Tree, position: Array) -> Iterator[Diagnostic]:
 
 
 def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
-    """Likely causes of positions outside a joint's range, the likeliest first.
-
-    A unit or sign that would bring the positions into the range comes first.
-    """
+    """Likely causes of positions outside a range; first, if sufficient, a wrong unit or sign."""
     least, greatest = joint.position_range
     factor = 180 / np.pi if joint.revolute else 1000.0
     converted = least <= low / factor and high / factor <= greatest
@@ -265,7 +256,7 @@ def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
 def _channel_diagnostics(
     estimate: Estimate, measured: Array, problem: Problem
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of constant and saturated channels, unless their faults are already known."""
+    """Diagnostics of constant and saturated channels (1 % at a stop), except `channel_faults`."""
     faulty_channels = {fault.name for fault in problem.channel_faults}
     for c, values in enumerate(measured.T):
         if estimate.channels[c] in faulty_channels:
@@ -294,7 +285,7 @@ def _channel_diagnostics(
 def _stop_fraction(values: Array, extreme: float) -> float:
     """Fraction of samples at an extreme value; 0 for a smooth peak.
 
-    A stop has many more samples than the nearest other value.
+    A stop has over five times as many samples as the nearest other value.
     """
     distance = np.abs(values - extreme)
     other_distances = distance[distance > 0]
@@ -308,7 +299,7 @@ def _stop_fraction(values: Array, extreme: float) -> float:
 
 
 def _effort_diagnostics(tree: Tree, torque: Array) -> Iterator[Diagnostic]:
-    """Diagnostics of torques above the maximum of the joints' motors."""
+    """Diagnostics of torques above twice the maximum of the joints' motors."""
     for joint, values in zip(tree.joints, torque.T, strict=True):
         greatest_torque = float(np.abs(values).max())
         if greatest_torque > THRESHOLDS.max_effort_ratio * joint.max_effort:
@@ -326,7 +317,7 @@ def _effort_diagnostics(tree: Tree, torque: Array) -> Iterator[Diagnostic]:
 
 
 def _tare_diagnostics(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
-    """Diagnostic of a tare that differs from the weight of the model's pedestal."""
+    """Diagnostic of a tare that differs by over 50 % from the model's pedestal weight."""
     expected = pedestal_wrench(tree)[:3]
     largest_force = max(np.linalg.norm(expected), np.linalg.norm(tare[:3]))
     difference = float(np.linalg.norm(tare[:3] - expected))
@@ -348,7 +339,8 @@ def _mass_diagnostics(
 ) -> Iterator[Diagnostic]:
     """Diagnostic of a total mass that is negative, or differs from the mean measured weight.
 
-    None without gravity, or where the minimal parameters do not determine the total mass.
+    Negative: by 5 sigma and 2 % of the weight. Different: by 5 sigma plus 50 %. No diagnostic
+    without gravity, or where the minimal parameters do not determine the total mass.
     """
     base, gravity = estimate.base, float(np.linalg.norm(tree.gravity))
     try:
@@ -394,7 +386,7 @@ def _mass_diagnostics(
 
 
 def _friction_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Diagnostics of negative friction coefficients: friction that would drive the joint."""
+    """Diagnostics of negative friction coefficients, beyond 5 sigma and 2 % of the torque's rms."""
     equations, drives = estimate.normal_equations, estimate.drives
     if drives is None:
         return
@@ -420,7 +412,11 @@ def _friction_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 
 
 def _residual_diagnostics(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic]:
-    """Diagnostics of channels that the model explains poorly although their signal is large."""
+    """Diagnostics of channels that the model explains poorly although their signal is large.
+
+    Relative residual above 1.2; or above 0.2 and either over `_residual_limits` or over five times
+    the smallest residual of the same unit.
+    """
     limits = _residual_limits(estimate, tree)
     for c, (share, residual) in enumerate(
         zip(estimate.relative_residual, estimate.residual, strict=True)
@@ -443,9 +439,8 @@ def _residual_diagnostics(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic
 def _residual_limits(estimate: Estimate, tree: Tree) -> Array:
     """Largest acceptable residual of each channel, (C,) [N, N m]; infinite for joint torques.
 
-    Forces are compared with the largest force, which contains the weight; moments with the largest
-    moment, or with the weight's moment at full reach. Torques have no such measure: where all of
-    them are small, most of them may be noise.
+    Forces: 20 % of the largest rms force. Moments: 20 % of the largest rms moment or, if larger,
+    1 % of the moment of the largest force at full reach.
     """
     rms = estimate.normal_equations.rms
     if estimate.method == "torque":
@@ -460,7 +455,10 @@ def _residual_limits(estimate: Estimate, tree: Tree) -> Array:
 
 
 def _residual_diagnostic(estimate: Estimate, c: int, share: float) -> Diagnostic:
-    """Diagnostic of a poorly explained channel: a wrong scale factor, or no correlation."""
+    """Diagnostic of a poorly explained channel: wrong scale factor, else large residual.
+
+    Scale: squared correlation with the prediction above 0.9, and a factor over 10 % off one.
+    """
     normal, right, square = estimate.normal_equations.of_channel(c)
     predicted = float(estimate.values @ normal @ estimate.values)
     product = float(right @ estimate.values)
@@ -480,7 +478,7 @@ def _residual_diagnostic(estimate: Estimate, c: int, share: float) -> Diagnostic
 
 
 def _consistency_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Diagnostic of minimal parameters that no rigid bodies can have."""
+    """Diagnostic of minimal parameters that no rigid bodies can have, by `rigid_body_test`."""
     test = rigid_body_test(estimate)
     if not test.impossible:
         return

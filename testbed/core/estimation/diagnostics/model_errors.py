@@ -24,6 +24,8 @@ RESIDUAL_SUBJECTS = {
 def model_error_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     """Diagnostic of each detected model error: share of the residuals, treatment, remedy.
 
+    The share is that of the channel in which it is largest.
+
     Args:
         estimate: Estimate with its model errors.
     """
@@ -53,7 +55,8 @@ MAX_CHANCE = 1e-6
 def repetition_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     """Diagnostic of residuals that repeat with the motion.
 
-    None where the repetition may be chance, or encoder noise limits the estimate.
+    Reported if the p-value of the repetition is at most MAX_CHANCE (1e-6), and encoder noise does
+    not limit the estimate: errors by that noise repeat with the motion, too.
 
     Args:
         estimate: Estimate with the repeatable part of its residuals.
@@ -82,6 +85,9 @@ def repetition_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 
 def treatment(error: ModelErrorEstimate) -> str:
     """Treatment of a model error: "corrected", "named", "suspected" or "unexplained".
+
+    Unexplained: no physical law. Corrected: subtracted from the measurements. Named: significant
+    enough to be reported as the cause; suspected otherwise.
 
     Args:
         error: Model error of one family.

@@ -18,6 +18,8 @@ SIGNIFICANCE_LEVEL = 1e-3
 def has_residual_noise(estimate: Estimate) -> bool:
     """True if residuals exceed the attenuation of a noise-free motion by the low-pass filters.
 
+    The limit is 1e-5 of the largest rms signal of all channels.
+
     Args:
         estimate: Estimate by either method.
     """
@@ -38,7 +40,11 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 
 
 def _encoder_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagnostic]:
-    """Diagnostics of encoder noise and encoder resolution."""
+    """Diagnostics of encoder noise and encoder resolution.
+
+    Noise: some parameters' columns are in large part encoder noise. Resolution: quantisation causes
+    more than 5 % of the whitened residuals' squares.
+    """
     if noise.noise_limited:
         yield make_diagnostic(
             "encoder.noise", shortened_list(noise.noise_limited), method=estimate.method
@@ -55,7 +61,11 @@ def _encoder_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diag
 
 
 def _plate_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagnostic]:
-    """Diagnostics of a significant offset or drift of the plate that hides parameters."""
+    """Diagnostic of a significant offset of the plate, else of a drift that hides parameters.
+
+    Offset: constants of the channels with a p-value up to 1e-3. Drift: noise of a channel that is
+    correlated over half of the recording; hidden parameters are collinear with a constant.
+    """
     hidden, verb = ", ".join(noise.hidden), "is" if len(noise.hidden) == 1 else "are"
     if noise.bias_chance <= SIGNIFICANCE_LEVEL:
         constants = zip(
@@ -99,6 +109,8 @@ def _plate_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagno
 def unidentifiable_beside_bias(noise: NoiseModel | None) -> tuple[str, ...]:
     """Parameters that are not identifiable beside a significant offset or drift of the plate.
 
+    () without an offset (p-value up to 1e-3) and drift (noise correlated over half the recording).
+
     Args:
         noise: Noise model of the residuals; None for white noise.
     """
@@ -116,6 +128,9 @@ def chance_text(chance: float) -> str:
 
 
 def _drifting_channels(noise: NoiseModel) -> list[bool]:
-    """True for each channel whose noise is correlated over much of the recording."""
+    """True for each channel whose noise is correlated over half of the recording.
+
+    The slowest mode of its autoregression takes longer to decay to 1/e.
+    """
     # correlation time relative to the recording, above which noise is a drift
     return [memory > 0.5 * noise.span for memory in noise.memory]

@@ -35,8 +35,8 @@ class RigidBodyTest:
     """Distance of an estimate from the parameters of physically consistent robots.
 
     Attributes:
-        distance: Smallest distance in standard deviations, model errors included.
-        limit: Largest distance that noise explains.
+        distance: Smallest Mahalanobis distance; its covariance includes model errors.
+        limit: Largest distance that noise explains: root of a chi-squared quantile.
         nearest: Minimal parameters of the nearest consistent robot, (N,).
         gap: Difference of each parameter from `nearest`, relative to its magnitude, (N,).
     """
@@ -48,7 +48,7 @@ class RigidBodyTest:
 
     @property
     def impossible(self) -> bool:
-        """True if noise and model errors do not explain the distance from all consistent robots."""
+        """True if the distance from all consistent robots exceeds the limit."""
         return self.distance > self.limit
 
 
@@ -59,12 +59,13 @@ def rigid_body_test(
 ) -> RigidBodyTest:
     """Test whether rigid bodies can have an estimate's minimal parameters.
 
-    The cone of consistent parameters has a separating plane at the largest distance from the
-    estimate; that distance is compared with a chi-squared quantile.
+    Pseudo-inertias of rigid bodies are positive semidefinite. The cone of such parameters has a
+    separating plane at the largest distance from the estimate; that distance is compared with a
+    chi-squared quantile.
 
     Args:
-        estimate: Estimate by either method. Rotors that are regrouped with a body's inertia may
-            have any inertia that is not negative.
+        estimate: Estimate by either method. Rotors regrouped with a body's inertia may have any
+            inertia that is not negative.
         sigmas: Significance, as standard deviations of a normal variable.
         model_error: Error of the model as a fraction of each parameter, added to sigma.
     """
@@ -100,7 +101,7 @@ def _rotor_columns(estimate: Estimate) -> Array:
 def _pseudo_inertia_forms(standard: Array) -> Array:
     """Minimal parameters as linear forms of all bodies' pseudo-inertias J, (N, 10 n).
 
-    The coordinates of J are scaled for the solver.
+    In J, the unit of length is LENGTH_UNIT (0.3 m), to scale the solver's numbers.
 
     Args:
         standard: Minimal parameters as linear forms of (m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz), body

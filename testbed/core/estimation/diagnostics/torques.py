@@ -51,8 +51,9 @@ def torque_scale_diagnostics(
 ) -> Iterator[Diagnostic]:
     """Diagnostics of joints whose torques differ from the plate's prediction by a factor.
 
-    Factors near one are reported only if the plate's estimate is not doubtful. Yields nothing for
-    estimates of different robots, gravities or zeros.
+    Factors outside 0.77 to 1.3 are reported as "torque.scale", such as a wrong unit. Others are
+    reported as "torque.constant" if they differ from one by 2 % and 8 sigma, and the plate's
+    estimate has no errors. Yields nothing for estimates of different robots, gravities or zeros.
 
     Args:
         wrench_estimate: Estimate from the wrench.
@@ -123,7 +124,7 @@ def torque_factor(
     """Factor between a joint's measured torque and the predicted torque.
 
     Terms of the joint itself (friction, rotor, offset, axial inertia) are first eliminated from
-    both torques by least squares.
+    both torques by least squares; the factor is the regression coefficient of the remainders.
 
     Args:
         torque_estimate: Estimate from the torques.
@@ -132,8 +133,9 @@ def torque_factor(
         joint: Index of the joint.
 
     Returns:
-        Factor with sigma; None where the joint's torque is mostly friction, rotor or noise, or the
-        prediction is poor.
+        Factor with sigma. None if, in power, the predicted remainder is below 1e-3 of the predicted
+        torque or the explained part below ten times the unexplained part of the measured remainder;
+        or if the prediction has a relative error above 5 %.
     """
     equations = torque_estimate.measured_equations or torque_estimate.normal_equations
     normal, right, square = equations.of_channel(joint)

@@ -51,13 +51,16 @@ Indices = NDArray[np.intp]
 class ErrorRows:
     """Regression rows of a recording, to which columns of model errors are added.
 
+    Rows are filtered and in units of the measurement; rows in gaps are zero.
+
     Attributes:
-        columns: Columns of the unknowns, (C, R, p).
+        columns: Columns of the unknowns, (C, R, p), of C channels, R rows and p unknowns.
         measured: Measurements, (C, R) [N, N m].
         linearizer: Linearizer of the recording.
         states: Motion of each window.
         window_rows: First row and number of rows of each window.
-        rest_covariances: Covariance of a window's rows by friction at rest, (C, rows, rows) each.
+        rest_covariances: Covariance of each window's rows by friction at rest of variance one, (C,
+            rows, rows) each; (0, rows, rows) for the wrench.
     """
 
     columns: Array
@@ -77,11 +80,11 @@ class ErrorRows:
     def encoder_share(self, residual: Array) -> float:
         """Largest share of encoder noise in any channel's squared residual.
 
-        Noise of the accelerations below the row filter's cutoff is propagated by the derivatives of
-        the forces.
+        White noise of the accelerations below the row filter's cutoff is propagated by the
+        derivatives of the forces with respect to the accelerations. The share may exceed one.
 
         Args:
-            residual: Mean squares of the residuals, (C,).
+            residual: Mean squared residuals, (C,) [N^2, (N m)^2].
         """
         cutoff = self.linearizer.problem.settings.row_low_pass or 0.0
         noise = np.mean([each.noise for each in self.states], axis=0)
@@ -98,22 +101,25 @@ class ErrorRows:
 
     @cached_property
     def row_mask(self) -> NDArray[np.bool_]:
-        """True for rows that count, (C, R)."""
+        """True for the rows in use: rows with a nonzero column of the unknowns, (C, R)."""
         return np.asarray(self.columns.any(axis=2))
 
     def family_columns(
         self, families: Sequence[ModelErrorFamily]
     ) -> tuple[dict[str, Array], dict[str, Indices]]:
-        """Columns of families at the rows by kind, (C, R, k) each, and chosen alternatives.
+        """Columns of families at the rows by kind, (C, R, k) each, and indices of alternatives.
 
-        Columns of the families come from fewer instants than those of the unknowns. The part that
-        unknowns imitate is replaced, so that the difference does not count as an effect.
+        Families' columns are computed at fewer instants than `columns`. Their weighted
+        least-squares projection on unknowns' columns of the same instants is replaced by that
+        combination of `columns`, so that the difference between the rates does not count as an
+        effect.
 
         Args:
             families: Families of model errors.
 
         Returns:
-            Columns, whitened of friction at rest; column indices of the best alternatives.
+            Columns, whitened by `whitened_rows`; by kind of a family with alternatives, indices of
+                the columns in use, (2 C,), the best pair of each joint (`_best_alternatives`).
         """
         alternatives = dict[str, Indices]()
         columns = [self._columns_at_rows(family, alternatives) for family in families]
@@ -143,11 +149,12 @@ class ErrorRows:
     def _columns_at_rows(
         self, family: ModelErrorFamily, alternatives: dict[str, Indices]
     ) -> Array:
-        """Columns of a family at the rows, (C, R, k).
+        """Columns of a family at the rows, (C, R, k), separate by joint for joint families.
 
         Args:
             family: Family of model errors.
-            alternatives: Column indices of the best alternatives by kind; the family's are added.
+            alternatives: Column indices of the best alternatives by kind, to which those of this
+                family are added, if there are several.
         """
         if not isinstance(family, JointFamily):
             return self._filtered_rows(
@@ -163,9 +170,11 @@ class ErrorRows:
         return block_diagonal_columns(torques)
 
     def _best_alternatives(self, columns: Array, count: int) -> tuple[Array, Indices]:
-        """Best pair of columns for each channel, (C, R, 2), and column indices.
+        """Best pair of columns for each channel, (C, R, 2), and column indices, (2 C,).
 
-        The pair with the largest reduction of the squared residual is chosen.
+        The best pair has the largest sum of the reductions of the squared residual by either column
+        alone. The residual is that of the linearizer's unknowns. Indices count the columns of all
+        channels, channel by channel.
 
         Args:
             columns: Pairs of columns of each channel, (C, R, 2 count).
@@ -182,10 +191,10 @@ class ErrorRows:
         return np.take_along_axis(columns, chosen[:, None], axis=2), indices.ravel()
 
     def _filtered_rows(self, signals: Sequence[Array]) -> Array:
-        """Filter the signals of all windows at the rows, (C, R, k).
+        """Signals of all windows, filtered to the rows, (C, R, k); zero in gaps.
 
         Args:
-            signals: Signals of each window, (m, C, k).
+            signals: Signals of each window at its m instants, (m, C, k).
         """
         rows = np.zeros((*self.measured.shape, signals[0].shape[2]))
         for linearization, (row, count), each in zip(
@@ -195,7 +204,10 @@ class ErrorRows:
         return rows
 
     def whitened_rows(self, rows: Array) -> Array:
-        """Rows whitened of the unknown friction at rest, (C, R, k); unused rows are zero.
+        """Rows whitened for unknown friction at rest, (C, R, k); rows not in use are zero.
+
+        Near rests of a joint, the covariance of the noise is 1 + REST_VARIANCE times the rest
+        covariance. Rows with much variance by friction (`_rest_factors`) are zero, too.
 
         Args:
             rows: Filtered rows, (C, R, k).
@@ -208,10 +220,13 @@ class ErrorRows:
 
     @cached_property
     def _rest_factors(self) -> list[tuple[int, Indices, Array, NDArray[np.bool_]]]:
-        """Cholesky factors of the noise covariance of rows near rests, by channel and window.
+        """Cholesky factors of the noise covariance of rows near rests, by window and channel.
+
+        A row is in use with a variance, given earlier rows, below 1 + MAX_REST_VARIANCE, and a
+        share of its squared weights at rest below MAX_REST_SHARE.
 
         Returns:
-            Channel, row indices, Cholesky factor, and True for rows that count, of each group of
+            Channel, row indices, Cholesky factor, and mask of the rows in use, of each group of
                 rows.
         """
         factors = []
@@ -239,13 +254,17 @@ def error_rows(
 ) -> ErrorRows:
     """Build the rows of a problem and the motion around each window.
 
+    Rows near rests and reversals are included, since friction at rest counts as noise in
+    `ErrorRows.whitened_rows`.
+
     Args:
         problem: Problem with chosen terms and filters; rows are filtered.
         source: Recording corrected for sensor errors.
-        values: Unknowns by an estimate, (p,).
-        prior: Rows of prior information on the unknowns, (r, p + 1); if any, forces are predicted
-            from a fit to rows and prior together.
-        pieces: Number of pieces of a longer recording.
+        values: Unknowns by an estimate, about which model errors are linearised, (p,).
+        prior: Rows of prior information on the unknowns and their right-hand side, with unit noise,
+            (r, p + 1). If any, model errors are linearised about a fit to rows and prior together,
+            in place of `values`.
+        pieces: Number of evenly spread pieces, with MAX_ROWS rows together, of a longer recording.
     """
     passes = problem.passes(1, source, whole=True, per_cutoff=ROWS_PER_CUTOFF)
     plan = passes.plan = replace(
@@ -286,7 +305,7 @@ def _solution_with_prior(columns: Array, measured: Array, prior: Array) -> Array
     Args:
         columns: Columns of the unknowns, (C, R, p).
         measured: Measurements, (C, R).
-        prior: Rows of prior information, (r, p + 1).
+        prior: Rows of prior information and their right-hand side, with unit noise, (r, p + 1).
     """
     count = np.maximum(columns.any(axis=2).sum(axis=1), 1.0)
     size = np.sqrt((measured**2).sum(axis=1) / count)
@@ -315,7 +334,14 @@ def linearizer_of(problem: Problem, plan: Plan, values: Array) -> Linearizer:
 
 
 def _shortened_plan(plan: Plan, number: int) -> Plan:
-    """Plan of at most MAX_ROWS rows, in pieces spread over a longer recording."""
+    """Plan of at most MAX_ROWS rows, in pieces spread evenly over a longer recording.
+
+    A piece ends at the first gap in its rows. A plan of at most MAX_ROWS rows is unchanged.
+
+    Args:
+        plan: Plan of the rows.
+        number: Number of pieces.
+    """
     total = sum(count for _, count in plan.spans)
     if total <= MAX_ROWS:
         return plan
@@ -331,7 +357,10 @@ def _shortened_plan(plan: Plan, number: int) -> Plan:
 
 
 def _window_rows(plan: Plan) -> tuple[tuple[int, int], ...]:
-    """First row and number of rows of each window; gaps leave empty rows between."""
+    """First row and number of rows of each window, with empty rows for gaps.
+
+    A gap of any duration becomes MAX_AUTOREGRESSION_ORDER rows, as many as noise models have lags.
+    """
     window_rows, row, end = [], 0, -1
     for window in plan.windows():
         row += MAX_AUTOREGRESSION_ORDER * (end >= 0 and window.row != end)
@@ -341,7 +370,7 @@ def _window_rows(plan: Plan) -> tuple[tuple[int, int], ...]:
 
 
 def _spaced_rows(rows: Array, window_rows: tuple[tuple[int, int], ...]) -> Array:
-    """Rows moved to the given positions, (C, R, ...), with zeros between.
+    """Rows moved to the given positions, (C, R, ...), with zeros in gaps.
 
     Args:
         rows: Consecutive rows of all windows, (C, rows, ...).
@@ -361,7 +390,9 @@ def _rest_covariances(
 ) -> Array:
     """Covariance of rows by white torque noise at each joint's rests, (n, rows, rows).
 
-    The noise is one at instants where the speed is uncertain; a row's squared weights sum to one.
+    The noise has variance one at instants with a speed up to the deadband or the window's
+    `speed_threshold`, if larger, else zero. A row's squared weights sum to one. Wrench: (0, rows,
+    rows).
 
     Args:
         linearizer: Linearizer of the recording.

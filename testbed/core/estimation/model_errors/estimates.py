@@ -28,11 +28,12 @@ class ModelErrorEstimate:
         label: Name for reports.
         meaning: Cause in the robot.
         remedy: Remedy for the user.
-        gain: Gain of the log likelihood by the family [nats].
+        gain: Gain of the restricted log likelihood by the family [nats].
         physical: True if the columns follow from a physical law.
-        named: True if the gain is large enough to name the family as the cause.
+        named: True if the gain is at least MIN_NAMED_GAIN: the family is reported as the cause.
         corrected: True if the error is subtracted from the measurements.
-        effect: Rms in each channel that the unknowns cannot imitate, (C,) [N, N m].
+        effect: Rms of the error in each channel, without the part collinear with the unknowns, (C,)
+            [N, N m].
         share: Effect relative to the rms residual of the unknowns alone, (C,).
         coefficients: Reported coefficients by decreasing significance; empty for most families.
     """
@@ -75,7 +76,7 @@ class SignalSizes:
 
 @dataclass(frozen=True, eq=False)
 class ModelErrorCorrection:
-    """Coefficients of model errors, which predict their part of any measurements.
+    """Coefficients of model errors, from which the errors in any recording are predicted.
 
     Attributes:
         families: Kinds of the families.
@@ -83,8 +84,8 @@ class ModelErrorCorrection:
         columns: Column indices in a family with alternatives; () for all columns.
         coefficients: Coefficients in units of plausible sizes, (k,).
         spread: Second moments of the coefficients' errors, (k, k).
-        gain: Change of the unknowns by the coefficients if the errors are not subtracted, (p, k).
-        sizes: Signal magnitudes of the recording from which they were estimated.
+        gain: Change of the unknowns per coefficient if the errors are not subtracted, (p, k).
+        sizes: Signal magnitudes of the recording from which the coefficients were estimated.
     """
 
     families: tuple[str, ...]
@@ -101,7 +102,7 @@ class ModelErrorCorrection:
         return np.asarray(self.gain @ self.spread @ self.gain.T)
 
     def for_families(self, kinds: Collection[str]) -> ModelErrorCorrection:
-        """Correction restricted to some families.
+        """Correction restricted to the given families.
 
         Args:
             kinds: Kinds of the families.
@@ -128,9 +129,9 @@ class RepeatableError:
     Attributes:
         period: Period of the motion, or duration that the recordings have in common [s].
         recordings: Number of recordings compared; 1 for periods of one recording.
-        chance: P-value of the repetition: probability of as much in noise alone.
-        rms: Rms in each channel, (C,) [N, N m].
-        share: Part of the squares of each channel's residual, (C,).
+        chance: P-value of the F test: probability of as large a repetition in noise alone.
+        rms: Rms of the repeatable part in each channel, (C,) [N, N m].
+        share: Share of the repeatable part in each channel's squared residual, (C,).
     """
 
     period: float
@@ -141,7 +142,7 @@ class RepeatableError:
 
     @property
     def repetition_text(self) -> str:
-        """Text on the repetition: the number of recordings, or the period."""
+        """Phrase on the repetition: "in 3 recordings of it", or "every 2.5 s"."""
         if self.recordings > 1:
             return f"in {self.recordings} recordings of it"
         return f"every {self.period:.4g} s"
@@ -153,8 +154,8 @@ class ModelErrorEffect:
 
     Attributes:
         spread: Second moments of the coefficients' errors after the correction, (k, k).
-        information: Information matrix of the unknowns, (p, p).
-        cross: Information between unknowns and coefficients, (p, k).
+        information: Information matrix X' X of the unknowns, rows in units of the noise, (p, p).
+        cross: Products X' Z of the columns of unknowns and coefficients, (p, k).
     """
 
     spread: Array
@@ -175,9 +176,11 @@ class ModelErrorEffect:
     def gain(self, covariance: Array, prior: Array | None = None) -> Array:
         """Sensitivity of the estimated unknowns to the error coefficients, (p, k).
 
+        It is (J + P^-1)^-1 X' Z, with J the information and P the prior covariance.
+
         Args:
-            covariance: Covariance of the unknowns without model errors, (p, p); directions without
-                variance stay fixed.
+            covariance: Covariance of the unknowns without model errors, (p, p); directions with
+                less than MIN_RELATIVE_VARIANCE stay fixed.
             prior: Covariance of the unknowns before the data, (p, p); None for none.
         """
         information = self.information

@@ -22,7 +22,11 @@ def block_diagonal_columns(columns: Array) -> Array:
 
 
 class ModelErrorFamily(ABC):
-    """Model errors of one kind; each is a class in a module of `families`."""
+    """Base class of families of model errors, linear in coefficients.
+
+    A coefficient of one is an error of plausible size. Concrete families are in the modules of
+    `families`; `SensorFamily` is that of a sensor error.
+    """
 
     kind: str
     """Unique key."""
@@ -42,10 +46,10 @@ class ModelErrorFamily(ABC):
     """True for a law of joint torque that should be among the unknowns. It is not subtracted from
     the measurements: friction without it predicts no torques."""
     noisy: bool = False
-    """True if encoder noise enters the columns, as it does residuals: by accelerations or signs."""
+    """True if encoder noise enters the columns and the residuals, by accelerations or signs."""
     alternatives: int = 1
-    """Number of alternatives, of which each joint takes the best: columns are ordered by joint,
-    then by alternative."""
+    """Number of alternative pairs of columns, of which the best pair of each joint is used; columns
+    are ordered by joint, then by alternative."""
 
     def applies(self, point: Linearization) -> bool:
         """True if the robot can have the error.
@@ -70,11 +74,12 @@ class ModelErrorFamily(ABC):
         """Effects on the measurements by errors of plausible size, (m, C, k) [N, N m].
 
         Args:
-            point: Motion and predicted forces about which the error is linear.
+            point: Motion at m instants and predicted forces in C channels, about which the error is
+                linear.
         """
 
     def selected_columns(self, point: Linearization, indices: Sequence[int]) -> Array:
-        """Some of the columns, (m, C, k); all of the columns without indices.
+        """Columns with the given indices, (m, C, k); all columns for empty indices.
 
         Args:
             point: Motion and predicted forces about which the error is linear.
@@ -85,7 +90,7 @@ class ModelErrorFamily(ABC):
 
 
 class JointFamily(ModelErrorFamily):
-    """Model errors of single joints' torques."""
+    """Model errors in the torques of single joints, with separate coefficients for each joint."""
 
     methods: tuple[Signal, ...] = ("torque",)
 
@@ -96,7 +101,15 @@ class JointFamily(ModelErrorFamily):
         )
 
     def selected_columns(self, point: Linearization, indices: Sequence[int]) -> Array:
-        """Some of the columns, (m, n, k); only the chosen alternatives are assembled."""
+        """Columns with the given indices, (m, n, k); all columns for empty indices.
+
+        With c columns in `torques`, column index c j + i is column i of joint j, zero for other
+        joints. Only the columns of the indices are assembled.
+
+        Args:
+            point: Motion at m instants and predicted forces about which the error is linear.
+            indices: Column indices.
+        """
         if not indices:
             return self.columns(point)
         torques = self.torques(point)

@@ -28,10 +28,13 @@ def predictive_count(
 ) -> int:
     """Number of leading families that predict held-out rows best; 0 without improvement.
 
+    The best number has the smallest loss (`_held_out_loss`), below MAX_LOSS_RATIO times the loss
+    without families.
+
     Args:
         products: Unknowns and families under white noise.
         order: Kinds of families, by decreasing gain.
-        variances: Variance of each family.
+        variances: Variance of each family's coefficients.
     """
     losses = [
         _held_out_loss(products, order[:k], variances[:k])
@@ -46,10 +49,13 @@ def _held_out_loss(
 ) -> float:
     """Sum of squared prediction errors of held-out rows, in units of the noise.
 
+    Rows are divided into 2, 4 and 8 consecutive parts (FOLDS). The rows of a part are predicted
+    from all others and the prior of `_weak_prior`; errors of the three divisions are summed.
+
     Args:
         products: Unknowns and families under white noise.
         kinds: Kinds of families in the model.
-        variances: Variance of each family.
+        variances: Variance of each family's coefficients.
     """
     rows, scale = products.rows, products.rows.row_mask / products.noise.total[:, None]
     blocks = [rows.columns, *(rows.families[kind] for kind in kinds)]
@@ -80,12 +86,16 @@ def _gram_matrix(rows: Array) -> Array:
 def _weak_prior(
     whole: Array, counts: Sequence[int], variances: Array
 ) -> tuple[Array, Array]:
-    """Prior information matrix, (p, p), and information times mean, (p,).
+    """Prior information matrix, (q, q), and information times mean, (q,).
+
+    The q variables are p unknowns, then coefficients of families. Unknowns: WEAK_PRIOR_SHARE of the
+    information of all rows, about the solution from all rows. Coefficients: inverse variances,
+    about zero.
 
     Args:
-        whole: Products of all rows' columns and measurements, (p + 1, p + 1).
+        whole: Products of all rows' columns and measurements, (q + 1, q + 1).
         counts: Number of columns of the unknowns, and of each family.
-        variances: Variance of each family.
+        variances: Variance of each family's coefficients.
     """
     p = counts[0]
     prior = np.diag(np.concatenate([np.zeros(p), 1 / np.repeat(variances, counts[1:])]))

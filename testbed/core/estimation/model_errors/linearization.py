@@ -29,7 +29,8 @@ class Linearization:
         tree: Kinematic tree of the robot; only the geometry matters.
         method: Measured signal: torques or wrench.
         motion: Motion at m instants.
-        forces: Wrench, torques, and their derivatives; with frames and base if the base is fixed.
+        forces: Wrench, torques, and derivatives with respect to joint displacements; also of joint
+            frames and base if the base is fixed and no force sensor is in the robot.
         joint_torque: Torques of the joint terms (friction, rotors), (m, n) [N m or N].
         time: Time from the middle of the recording, (m,) [s].
         sizes: Signal magnitudes of the recording.
@@ -47,19 +48,19 @@ class Linearization:
 
     @property
     def has_frame_derivatives(self) -> bool:
-        """True if derivatives by joint frames and base are available."""
+        """True if derivatives with respect to joint frames and base are available."""
         slopes = self.forces.wrench_slopes.position
         return bool(slopes.shape[2] > self.tree.n)
 
     @property
     def slopes(self) -> ForceGradients:
-        """Derivatives of the measured signal by displacements."""
+        """Derivatives of the measured signal with respect to the displacements of `forces`."""
         is_wrench = self.method == "wrench"
         return self.forces.wrench_slopes if is_wrench else self.forces.torque_slopes
 
     @cached_property
     def smooth_sign(self) -> Array:
-        """Smooth sign of the joint velocities, (m, n)."""
+        """Smooth sign of the joint velocities, (m, n), linear below 1 % of the greatest speed."""
         qd = self.motion.qd
         return np.asarray(qd / np.sqrt(qd**2 + (0.01 * self.sizes.speed) ** 2))
 
@@ -69,7 +70,7 @@ class Linearization:
         return np.asarray(self.forces.torque + self.joint_torque)
 
     def quasi_static_part(self, signal: Array) -> Array:
-        """Low-passed signal below the quasi-static cutoff, (m, k).
+        """Part of a signal below QUASI_STATIC_CUTOFF, (m, k), by a low-pass filter.
 
         Args:
             signal: Signal at the instants, (m, k).
@@ -85,8 +86,11 @@ class Linearization:
     def displacement_effects(self, first: int, displacements: Array) -> Array:
         """Changes of the measured signal by time-varying displacements, (m, C, D, k).
 
+        First and second time derivatives of the displacements, by finite differences, contribute.
+
         Args:
-            first: Index of the first of D displacements among those with derivatives.
+            first: Index of the first of D displacements in the order of `ForceDerivatives`: n of
+                joints, five per joint frame, six of the base.
             displacements: Displacements, (m, D, k) [rad or m].
         """
         rate = self.time_derivative(displacements)
@@ -94,7 +98,9 @@ class Linearization:
         return slopes.force_changes(displacements, rate, self.time_derivative(rate))
 
     def encoder_effects(self, displacements: Array) -> Array:
-        """Changes of the measured signal by displacements of single joints, (m, C, n k).
+        """Changes of the measured signal by displacements of each joint alone, (m, C, n k).
+
+        Columns are ordered by joint, then by displacement.
 
         Args:
             displacements: Joint displacements, (m, n, k) [rad or m].

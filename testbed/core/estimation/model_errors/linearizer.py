@@ -38,7 +38,7 @@ MIN_FINE_RATE = 160.0
 """Smallest rate of the instants at which positions are differentiated [Hz], against aliasing."""
 
 VELOCITY_SIGMAS = 3.0
-"""Multiple of the velocity noise's sigma below which the sign of a velocity is doubtful."""
+"""Multiple of the velocity noise's sigma below which the sign of a velocity is uncertain."""
 
 MIN_SPECTRAL_RATIO = 10.0
 """Smallest ratio of the position's spectrum to the noise's at which it is kept."""
@@ -52,8 +52,8 @@ class WindowStates:
     """Motion around the rows of a window.
 
     Attributes:
-        fine: Motion at closely spaced instants.
-        smooth: Low-passed motion at the instants of the row filter.
+        fine: Motion at closely spaced instants, at a rate of at least MIN_FINE_RATE.
+        smooth: Low-passed motion at the m instants of the row filter.
         time: Time of the smooth motion from the middle of the recording, (m,) [s].
         noise: Spectral density of the encoders' white noise, (n,) [rad^2 s or m^2 s].
     """
@@ -65,7 +65,10 @@ class WindowStates:
 
     @property
     def speed_threshold(self) -> Array:
-        """Speeds below which noise hides the sign of the velocity, (n,) [rad/s or m/s]."""
+        """Speeds below which noise hides the sign of the velocity, (n,) [rad/s or m/s].
+
+        The threshold is VELOCITY_SIGMAS times the rms difference of fine and smooth velocity.
+        """
         stride = round(float((self.smooth.t[1] - self.smooth.t[0]) / self.fine.t[1]))
         residual = self.fine.qd[::stride] - self.smooth.qd
         return np.asarray(VELOCITY_SIGMAS * np.sqrt((residual**2).mean(axis=0)))
@@ -89,7 +92,11 @@ class Linearizer:
 
     @cached_property
     def fine_step(self) -> int:
-        """Number of samples between closely spaced instants."""
+        """Number of samples between instants of the fine motion.
+
+        It is the largest divisor of the row filter's stride with a rate of at least MIN_FINE_RATE;
+        1 without such a divisor.
+        """
         rate, stride = self.plan.source.rate, self.filter.stride
         steps = [
             d
@@ -103,7 +110,11 @@ class Linearizer:
         return row * self.plan.step + self.plan.reach - self.filter.half_width
 
     def states(self, signals: SignalWindow, row: int) -> WindowStates:
-        """Fine and smoothed motion around a window's rows.
+        """Fine and smooth motion around a window's rows.
+
+        Smooth positions passed a Wiener filter and a low-pass at SMOOTHING_CUTOFF; velocity and
+        acceleration are finite differences of them. Sensed velocities count as free of noise: the
+        smooth motion is then the fine motion.
 
         Args:
             signals: Signals of the window.
@@ -136,6 +147,9 @@ class Linearizer:
         self, states: WindowStates, sizes: SignalSizes | None
     ) -> Linearization:
         """Predicted forces of a window and their derivatives.
+
+        Derivatives with respect to joint frames and base are included for a fixed base without a
+        force sensor in the robot.
 
         Args:
             states: Motion of the window.
@@ -172,8 +186,8 @@ class Linearizer:
     def _barycentric_parameters(self) -> Array:
         """Barycentric parameters of least norm with the estimated minimal parameters, (n, 10).
 
-        Derivatives by joint frames also need the parameters that no motion shows; these are kept
-        small.
+        The norm is that of the standard parameters relative to TYPICAL_BODY. It keeps parameters
+        small that are not identifiable but enter the derivatives with respect to joint frames.
         """
         minimal, tree = self.problem.minimal, self.problem.tree
         forms = minimal.standard_matrix * np.tile(TYPICAL_BODY, tree.n)
@@ -182,7 +196,7 @@ class Linearizer:
         return np.asarray(barycentric_from_standard(tree, TYPICAL_BODY * relative))
 
     def _joint_torques(self, motion: Motion) -> Array:
-        """Torques of the joint terms at a motion, (m, n) [N m or N].
+        """Torques of the joint terms at a motion, (m, n) [N m or N]; zero without joint terms.
 
         Terms that depend on other signals, such as temperature or load, are left out.
         """
@@ -211,7 +225,8 @@ def _noise_variances(position: Array) -> Array:
 def _wiener_filtered(position: Array, noise: Array) -> Array:
     """Positions after a Wiener filter, without frequencies dominated by noise, (m, n).
 
-    Columns of model errors depend on differentiated positions, and residuals hold the same noise.
+    Frequencies with less than MIN_SPECTRAL_RATIO times the power of the noise are removed: noise in
+    differentiated positions would correlate columns of model errors with the residuals.
 
     Args:
         position: Positions at closely spaced instants, (m, n) [rad or m].
@@ -251,12 +266,14 @@ def _signal_sizes(states: WindowStates, wrench: Array, torque: Array) -> SignalS
 
 
 def _peak_magnitudes(signal: Array) -> Array:
-    """Greatest magnitude of each column, at least TINY."""
+    """Greatest magnitude of each column, at least SMALLEST_POSITIVE."""
     return np.asarray(np.maximum(np.abs(signal).max(axis=0), SMALLEST_POSITIVE))
 
 
 def with_common_sizes(windows: Sequence[Linearization]) -> tuple[Linearization, ...]:
     """Linearisations with the signal magnitudes of the whole recording.
+
+    They are the largest of the windows' magnitudes; mean positions are averaged over the windows.
 
     Args:
         windows: Linearisations of the recording's windows.

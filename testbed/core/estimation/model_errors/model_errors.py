@@ -84,7 +84,7 @@ class ModelErrors:
 
     @property
     def applied_correction(self) -> ModelErrorCorrection | None:
-        """Correction that is subtracted, also for other motions; None for none."""
+        """Correction restricted to `corrected_kinds`; None if no family is corrected."""
         return (
             self.correction.for_families(self.corrected_kinds)
             if self.corrected_kinds
@@ -113,8 +113,8 @@ class ModelErrorFreeSource(DerivedSource):
     """Recording with model errors subtracted, joints in the order of the tree.
 
     Attributes:
-        doubt: Mean square in each channel of the coefficients' errors, less the part that the
-            unknowns take up, (C,).
+        doubt: Mean variance of the subtracted signal in each channel, without the part that the
+            unknowns compensate (`ModelErrorCorrection.gain`), (C,) [N^2, (N m)^2].
     """
 
     def __init__(
@@ -160,7 +160,11 @@ class ModelErrorFreeSource(DerivedSource):
         self._instants, self._errors = _merged_windows(times, signals)
 
     def part(self, first: int, last: int) -> Recording:
-        """Corrected samples `first` to `last` - 1, without the truth."""
+        """Corrected samples `first` to `last` - 1, without the truth.
+
+        Errors are interpolated by a cubic spline, constant before the first and after the last
+        instant.
+        """
         recording = self._source.part(first, last).ordered(self._tree)
         samples = np.clip(np.arange(first, last), self._instants[0], self._instants[-1])
         errors = CubicSpline(self._instants, self._errors)(samples)
@@ -192,6 +196,9 @@ def find_model_errors(
     kinds: Collection[str] | None = None,
 ) -> ModelErrors | None:
     """Find the model errors in an estimate's residuals; None without any.
+
+    Families are selected by the restricted likelihood (`Selector`). The result is None, too, if
+    every channel has fewer than MIN_ROWS rows.
 
     Args:
         problem: Problem with chosen terms and filters; rows are filtered.
@@ -234,7 +241,9 @@ def _regression_rows(
     sensor_errors: Sequence[ModelErrorFamily],
     prior_rows: Array,
 ) -> tuple[RegressionRows, dict[str, Indices]]:
-    """Whitened rows of unknowns, sensor errors and families, and chosen alternatives.
+    """Whitened rows of unknowns, sensor errors and families, and column indices of alternatives.
+
+    Estimated sensor errors become unknowns after the robot's, without prior.
 
     Args:
         rows: Rows of the robot's unknowns.
@@ -256,6 +265,9 @@ def _regression_rows(
 
 def _prior_rows(prior: Gaussian | None, count: int) -> Array:
     """Rows of unit noise equivalent to a prior of the first unknowns, (r, p + 1).
+
+    The last column is the right-hand side. Directions with a relative variance below
+    MIN_RELATIVE_VARIANCE have no row; r is zero without a prior.
 
     Args:
         prior: Prior of the first unknowns; None for none.
@@ -305,6 +317,11 @@ def _correction(
     rows: ErrorRows, selection: Selection, alternatives: Mapping[str, Indices]
 ) -> ModelErrorCorrection:
     """Coefficients of the selected families, zero for families that stay uncorrected.
+
+    `spread` is the prior variance of coefficients of a family with a gain below MIN_NAMED_GAIN. For
+    other families it is the posterior covariance, plus the outer product of CORRECTION_DOUBT times
+    the coefficients of corrected families and of the coefficients of uncorrected families. `gain`
+    is zero, to be replaced by the caller.
 
     Args:
         rows: Rows of the robot's unknowns.
@@ -367,6 +384,8 @@ def _estimate_of(
 ) -> ModelErrorEstimate:
     """Estimate of one selected family: texts for reports, gain, effect, coefficients.
 
+    Coefficients are in the order of decreasing ratio of magnitude to sigma.
+
     Args:
         selection: Selected families.
         family: Family of the estimate.
@@ -411,8 +430,8 @@ def _effect(
 ) -> tuple[Array, Array]:
     """Rms of a family's signal in each channel, absolute and relative, (C,) each.
 
-    The part that the unknowns imitate does not count; the reference is the residual of the unknowns
-    alone.
+    The signal's least-squares projection on the unknowns' columns is subtracted. The reference is
+    the residual of the unknowns alone.
 
     Args:
         selection: Selected families.

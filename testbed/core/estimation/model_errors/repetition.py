@@ -39,7 +39,7 @@ class MotionRows(NamedTuple):
 
     Attributes:
         positions: Joint positions at the rows, (R, n) [rad or m].
-        rows: Columns of the unknowns, and residuals, (C, R, p + 1).
+        rows: Whitened columns of the unknowns, and residuals, (C, R, p + 1).
     """
 
     positions: Array
@@ -49,7 +49,7 @@ class MotionRows(NamedTuple):
         """Consecutive rows interpolated by a cubic spline, (C, count, p + 1).
 
         Args:
-            first: Index of the first row; a fraction lies between rows.
+            first: Index of the first row, integer or not.
             count: Number of rows.
         """
         spline = CubicSpline(np.arange(self.rows.shape[1]), self.rows, axis=1)
@@ -60,7 +60,9 @@ class MotionRows(NamedTuple):
 def repeatable_error(problem: Problem, values: Array) -> RepeatableError | None:
     """Repeatable part of an estimate's residuals; None without a repeated motion.
 
-    Periods of one recording are compared, else recordings of the same motion.
+    Periods of the longest recording are compared (`period_of`). Without a period, it is compared
+    with up to MAX_RECORDINGS others of the same motion (`lag_of`), longer than MIN_LENGTH_SHARE of
+    its samples. The result is None, too, for too few rows (`_lack_of_fit`).
 
     Args:
         problem: Problem with chosen terms and filters; rows are filtered.
@@ -89,6 +91,9 @@ def _motion_rows(
 ) -> tuple[MotionRows, float]:
     """Rows of a recording without gaps, and the rate of rows [Hz].
 
+    At most the first MAX_ROWS rows of `error_rows`, whitened for friction at rest. Residuals have
+    mean zero in each channel.
+
     Args:
         problem: Problem with chosen terms and filters.
         source: Recording without gaps.
@@ -110,9 +115,9 @@ def _motion_rows(
 
 
 def _period_rows(motion: MotionRows, count: int) -> Array:
-    """Rows of each period, (C, P, n, p + 1).
+    """Rows of each period, (C, P, n, p + 1): P periods of n rows, the last at the end.
 
-    A motion of less than two periods gives the two parts that overlap.
+    For a motion of less than two periods, they are its first rows and the rows one period later.
 
     Args:
         motion: Rows of at least one and a half periods.
@@ -128,11 +133,11 @@ def _period_rows(motion: MotionRows, count: int) -> Array:
 
 
 def _common_rows(first: MotionRows, others: Sequence[MotionRows]) -> Array:
-    """Rows of several recordings at the same instants of a motion, (C, P, n, p + 1).
+    """Rows of P recordings at the same n instants of a motion, (C, P, n, p + 1).
 
     Args:
-        first: Rows of the reference recording.
-        others: Rows of recordings of the same motion, or of another, which are skipped.
+        first: Rows of the reference recording, the first of the P.
+        others: Rows of further recordings; those of another motion (`lag_of`) are left out.
     """
     matches = [(first, 0.0)]
     for other in others:
@@ -152,13 +157,16 @@ def _lack_of_fit(
 ) -> RepeatableError | None:
     """Repeatable part of the residuals, tested against the deviations between periods.
 
+    Its mean square is that of the mean period, less the part expected from the deviations.
+
     Args:
         periods: Columns of the unknowns, and residuals, of P periods, (C, P, n, p + 1).
         period: Period [s].
         recordings: Number of recordings compared.
 
     Returns:
-        Repeatable part; None for less than two periods or too few rows.
+        Repeatable part; None for less than two periods, or periods of less than MIN_ROWS rows, or
+            of less than two rows (of all channels) per unknown and channel.
     """
     channels, number, count, width = periods.shape
     if number < 2 or count < MIN_ROWS or count * channels < 2 * (width + channels):
@@ -199,6 +207,9 @@ def _repetition_p_value(white: Array) -> float:
 
 def _whitened_periods(periods: Array, deviations: Array) -> Array:
     """Periods whitened by the autoregression of the deviations, (C, P, n, k).
+
+    The first of more than two periods is left out, since its first rows have no earlier rows; of
+    two periods, these rows are zero.
 
     Args:
         periods: Columns and residuals of P periods, (C, P, n, k).

@@ -66,7 +66,7 @@ class RegressionRows:
     """Rows of unknowns, families and measurements.
 
     Attributes:
-        columns: Columns of the unknowns, (C, R, p).
+        columns: Columns of the unknowns, (C, R, p), of C channels, R rows and p unknowns.
         measured: Measurements, (C, R).
         row_mask: True for rows that count, (C, R).
         families: Columns by kind of family, (C, R, k) each.
@@ -88,6 +88,9 @@ class RegressionRows:
     def whitened_rows(self, rows: Array, noise: RowNoise) -> Array:
         """Rows (C, R, k) whitened to unit noise, (C (R - P), k).
 
+        The first P rows, with P the order of the autoregressions, are left out; masked rows are
+        zero.
+
         Args:
             rows: Columns or residuals, (C, R, k).
             noise: Noise of the rows.
@@ -107,8 +110,11 @@ class RegressionRows:
     def fit_noise(self, residual: Array, freedom: float) -> RowNoise:
         """Fit autoregressions to residuals, with the order by Akaike's criterion.
 
+        The order is common to all channels. Variances are per degree of freedom, of which the fit
+        takes at most MAX_LOST_SHARE.
+
         Args:
-            residual: Residuals, (C, R).
+            residual: Residuals, (C, R), zero in masked rows.
             freedom: Degrees of freedom taken by the fit.
         """
         length, count = residual.shape[1], self.count
@@ -151,7 +157,16 @@ class Solution(NamedTuple):
 class ProjectedRows:
     """White rows with the unknowns projected out, by QR decomposition.
 
-    The likelihood and the solution follow for any variances of the families.
+    The likelihood and the solution follow for any variances of the families. X are the white
+    columns of the unknowns, with prior rows below, and Z those of the families.
+
+    Attributes:
+        rows: Rows of unknowns and all families.
+        kinds: Kinds of families in use.
+        noise: Noise by which rows are whitened.
+        indices: Indices of each family's columns in Z, by kind.
+        p: Number of unknowns.
+        free: Number of white rows less p, at least 1.
     """
 
     def __init__(
@@ -199,7 +214,10 @@ class ProjectedRows:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the unknowns without families, for noise one, (p, p)."""
+        """Covariance (X'X)^-1 of the unknowns in a model without families, (p, p).
+
+        The noise has variance one; undetermined directions (RANK_TOLERANCE) have variance zero.
+        """
         scale = _column_scales(self._triangle)
         inverse = scale[:, None] * np.linalg.pinv(
             self._triangle * scale, RANK_TOLERANCE
@@ -218,7 +236,10 @@ class ProjectedRows:
 
     @cached_property
     def _log_determinant(self) -> float:
-        """Logarithm of the determinant of X'X."""
+        """Logarithm of the determinant of X'X.
+
+        Dependent columns count with RANK_TOLERANCE of their length.
+        """
         least = RANK_TOLERANCE * np.linalg.norm(self._triangle, axis=0)
         size = np.maximum(
             np.abs(np.diagonal(self._triangle)), np.maximum(least, SMALLEST_POSITIVE)
@@ -236,7 +257,9 @@ class ProjectedRows:
         return np.asarray(self._projected[:, one].T @ self._projected[:, other])
 
     def gain(self, kind: str, chosen: Mapping[str, float]) -> tuple[float, float]:
-        """Gain of the log likelihood by one more family, and the best variance.
+        """Gain of the log likelihood by one more family [nats], and the best variance.
+
+        Both are zero if no variance of VARIANCE_GRID increases the likelihood.
 
         Args:
             kind: Kind of the family.
@@ -255,7 +278,9 @@ class ProjectedRows:
         return self._best_gain(gram, right, rss)
 
     def _best_gain(self, gram: Array, right: Array, rss: float) -> tuple[float, float]:
-        """Largest gain of the log likelihood over a grid of variances, and the variance.
+        """Largest gain of the log likelihood over VARIANCE_GRID, and the variance.
+
+        Both are zero without a positive gain.
 
         Args:
             gram: Products of a family's columns, (k, k).
@@ -307,7 +332,8 @@ class ProjectedRows:
     ) -> dict[str, float]:
         """Best variances of chosen families, by coordinate ascent of the likelihood.
 
-        Families without gain are dropped.
+        A round sets the variances in turn to the best values of VARIANCE_GRID; families without
+        gain are dropped.
 
         Args:
             chosen: Variances by kind.
@@ -323,7 +349,7 @@ class ProjectedRows:
         return variances
 
     def log_likelihood(self, chosen: Mapping[str, float]) -> float:
-        """Restricted log likelihood less the number of noise coefficients.
+        """Restricted log likelihood less the number of noise coefficients (Akaike's penalty).
 
         Values are comparable between different noises.
 
@@ -347,6 +373,8 @@ class ProjectedRows:
 
     def solve(self, chosen: Mapping[str, float]) -> Solution:
         """Solve for the unknowns and the coefficients of chosen families.
+
+        The covariance is in proportion to the variance of the remaining white residuals.
 
         Args:
             chosen: Variances by kind.

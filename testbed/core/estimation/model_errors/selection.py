@@ -87,7 +87,10 @@ class _Model:
 
 
 class Selector:
-    """Forward selection of families by restricted likelihood."""
+    """Forward selection of families by restricted likelihood.
+
+    The score of a model is its log likelihood less the costs of its families.
+    """
 
     def __init__(
         self,
@@ -96,6 +99,9 @@ class Selector:
         encoder_share: Callable[[Array], float],
     ) -> None:
         """Fit the unknowns without families, and set the cost of each family.
+
+        The cost is MAX_ENCODER_GAIN times the encoder noise's share, if columns are noisy, plus the
+        logarithm of the number of alternatives for each chosen pair of columns.
 
         Args:
             rows: Rows of unknowns, measurements and all families.
@@ -118,7 +124,7 @@ class Selector:
                 self._costs[family.kind] += pairs * float(np.log(family.alternatives))
 
     def _plain_noise(self) -> RowNoise:
-        """Noise of the residuals without families."""
+        """Noise of the residuals of a fit without families, by iteration from white noise."""
         rows = self._rows
         noise = _white_noise(rows.fit_noise(rows.measured, 0.0))
         for _ in range(NOISE_ITERATIONS + 1):
@@ -128,7 +134,7 @@ class Selector:
     def _residual_noise(
         self, products: ProjectedRows, chosen: Mapping[str, float]
     ) -> RowNoise:
-        """Noise of the residuals after unknowns and chosen families.
+        """Noise of the residuals of a fit of the unknowns and chosen families.
 
         Args:
             products: Projected rows.
@@ -143,7 +149,13 @@ class Selector:
         return rows.fit_noise(residual * rows.row_mask, solution.freedom)
 
     def select(self) -> Selection:
-        """Select families forward from two noise models, then prune."""
+        """Select families forward from two noise models, then prune.
+
+        The noise models are that of the fit without families, and `_wide_noise` for up to two
+        physical families. The model with the larger score is extended under its own noise; then
+        families of a gain below MIN_GAIN are removed. With a prior, the noise becomes white. No
+        family is selected with fewer than MIN_ROWS_PER_UNKNOWN rows per unknown.
+        """
         rows, plain = self._rows, self._plain
         best = plain
         if rows.row_mask.sum() >= MIN_ROWS_PER_UNKNOWN * rows.columns.shape[2]:
@@ -174,7 +186,15 @@ class Selector:
     def _corrected_kinds(
         self, model: _Model, gains: Mapping[str, float]
     ) -> tuple[str, ...]:
-        """Kinds to be corrected: predictive of held-out rows, significant, physical and lasting."""
+        """Kinds to be corrected: predictive of held-out rows, significant, physical and lasting.
+
+        Significant gains are at least MIN_NAMED_GAIN, with a prior MIN_NAMED_GAIN_WITH_PRIOR. Joint
+        terms are not corrected.
+
+        Args:
+            model: Selected model.
+            gains: Gains by kind, in decreasing order.
+        """
         min_gain = (
             MIN_NAMED_GAIN_WITH_PRIOR if len(self._rows.prior) else MIN_NAMED_GAIN
         )
@@ -204,7 +224,7 @@ class Selector:
         return tuple(kind for kind in self._rows.families if kind in self._physical)
 
     def _wide_noise(self) -> RowNoise:
-        """Noise beside all physical families of plausible sizes.
+        """Noise of the residuals of a fit with all physical families of plausible sizes.
 
         The noise of the fit without families contains slow model errors; this noise is too white.
         """
@@ -223,6 +243,9 @@ class Selector:
         max_families: int,
     ) -> dict[str, float]:
         """Variances of families selected one by one under a given noise.
+
+        A step adds the family of `_preferred_kind` and tunes all variances; the last step is that
+        before a score (gain less cost) below MIN_GAIN.
 
         Args:
             noise: Noise of the rows.
@@ -254,6 +277,10 @@ class Selector:
     def _preferred_kind(self, scores: Mapping[str, float]) -> str:
         """Kind with the largest score; a physical or smaller family if nearly as good.
 
+        The largest score counts unless a physical family has more than PHYSICAL_PREFERENCE of it.
+        Of the physical families with FEWER_COLUMNS_PREFERENCE of their largest score, that with the
+        fewest columns is taken.
+
         Args:
             scores: Gain less cost, by kind.
         """
@@ -272,6 +299,8 @@ class Selector:
     def _fitted_model(self, chosen: Mapping[str, float], noise: RowNoise) -> _Model:
         """Model of a set of families, noise and variances estimated alternately.
 
+        Families without gain are dropped.
+
         Args:
             chosen: First variances by kind.
             noise: First noise.
@@ -286,7 +315,14 @@ class Selector:
         return _scored_model(ProjectedRows(self._rows, kinds, noise), variances, cost)
 
     def _pruned_model(self, model: _Model) -> tuple[_Model, dict[str, float]]:
-        """Model without families of a gain below MIN_GAIN, and gains by kind."""
+        """Model without families of a gain below MIN_GAIN, and gains by kind, in decreasing order.
+
+        The gain of a family is the loss of score by a fit without it. The family with the smallest
+        gain is removed until all gains suffice.
+
+        Args:
+            model: Model to be pruned.
+        """
         while model.variances:
             gains = {}
             for kind in model.variances:

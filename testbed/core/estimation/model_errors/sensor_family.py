@@ -27,7 +27,10 @@ SAMPLING_ERROR = 1e-3
 
 
 class SensorFamily(ModelErrorFamily):
-    """Systematic error of a sensor; the defaults of the error's keys are the plausible size."""
+    """Systematic sensor error as a family of model errors.
+
+    The default values of the error's keys are the plausible sizes of its coefficients.
+    """
 
     def __init__(self, error: type[SystematicError]) -> None:
         """Build the family of one sensor error.
@@ -45,7 +48,10 @@ class SensorFamily(ModelErrorFamily):
         self.lasting = not error.of_one_recording
 
     def coefficient_scales(self, tree: Tree) -> Sequence[tuple[str, str, float]]:
-        """Names, units and plausible sizes of the error's coefficients."""
+        """Names, units and plausible sizes of the error's coefficients.
+
+        Sizes are the absolute default values; SAMPLING_ERROR for the sampling rate.
+        """
         coefficients = self.error.coefficients(tree)
         sizes = np.full(len(coefficients), SAMPLING_ERROR)
         if self.error is not SamplingRate:
@@ -54,7 +60,12 @@ class SensorFamily(ModelErrorFamily):
         return [(each.name, each.unit, size) for each, size in pairs]
 
     def columns(self, point: Linearization) -> Array:
-        """Effects of the coefficients on the measurements, (m, C, k) [N, N m]."""
+        """Effects of the coefficients on the measurements, (m, C, k) [N, N m].
+
+        Errors of the encoders change the positions of the prediction, errors of the plate its
+        wrench, errors of the clock the instants of the wrench. An error of the sampling rate scales
+        velocities and accelerations.
+        """
         if issubclass(self.error, EncoderError):
             return self._encoder_effects(point, self.error)
         if issubclass(self.error, PlateError):
@@ -81,6 +92,7 @@ class SensorFamily(ModelErrorFamily):
         """Effects of position errors of each joint, (m, C, k).
 
         The forces are measured at the true positions and predicted at the positions with errors.
+        Errors of revolute joints have no columns for prismatic joints.
         """
         slopes, motion = point.slopes, point.motion
         if error is EncoderDelay:
@@ -111,6 +123,6 @@ def _plausible_sizes(error: type[SystematicError], count: int) -> Array:
 
 
 def _phase_argument(error: type[SystematicError]) -> dict[str, float]:
-    """Keyword argument that fixes the phase of an error; empty without a phase."""
+    """Keyword argument for a phase of pi/4; empty for an error without phase."""
     names = {each.name for each in fields(error)}
     return {"phase": np.pi / 4} if "phase" in names else {}

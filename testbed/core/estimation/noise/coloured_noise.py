@@ -55,16 +55,17 @@ from testbed.core.estimation.regression.passes import Passes
 
 
 def identifiable_constants(products: LaggedProducts) -> tuple[Array, Array]:
-    """Separate identifiable channel offsets from offsets that the unknowns imitate.
+    """Separate identifiable channel offsets from offsets collinear with the unknowns.
 
-    The Schur complement of the offsets in the normal matrix is what the unknowns leave of them.
+    An eigenvector of the offsets' Schur complement in the normal matrix (lag zero) is identifiable
+    with an eigenvalue above 1e-8 of the largest number of rows.
 
     Args:
         products: Lagged products of the unknowns' columns, residuals and row indicators.
 
     Returns:
-        Orthonormal combinations of the channels with an identifiable offset, (C, k); unknowns that
-            imitate each of the other offsets, (C - k, m).
+        Orthonormal combinations of the channels with an identifiable offset, (C, k); unknowns with
+            the same effect as each of the other offsets, (C - k, m).
     """
     squares, m = products.products[0], products.unknowns
     mixed = squares[:, :m, -1].T  # (m, C)
@@ -85,7 +86,7 @@ class AveragedFit:
         fit: Estimates of the unknowns, then of the constants; noise of the likelier model.
         fit_function: Function that computed either fit.
         directions: Combinations of the channels with a constant offset, (C, k).
-        imitating_unknowns: Unknowns that imitate the other offsets, (C - k, m).
+        imitating_unknowns: Unknowns with the same effect as the other offsets, (C - k, m).
         correction: Attenuation correction of the fit without constants; None if columns have no
             noise.
         weight: Weight of the model with constants, 0 to 1.
@@ -101,7 +102,7 @@ class AveragedFit:
     chi_square: float = 0.0
 
     def p_value(self, factor: float) -> float:
-        """P-value of the constants, by a chi-square test.
+        """P-value of the constants, by a chi-square test; one without constants.
 
         Args:
             factor: Factor by which sigma is larger than by the formula.
@@ -118,11 +119,11 @@ def averaged_fit(
 ) -> AveragedFit:
     """Fit under coloured noise, averaged over models with and without constants.
 
-    The weights are Akaike's. Rows with gaps, few rows or no identifiable offset: no constants.
+    Weights are Akaike's. Constants need rows without gaps, at least 50, and an identifiable offset.
 
     Args:
         products: Lagged products of the unknowns' columns, residuals and row indicators.
-        noise: Lagged products of the encoder noise in these columns; None for none.
+        noise: Lagged products of the encoder noise, to be corrected; None for none.
         gapless: True if no rows are missing.
     """
     fit_function = whitened_fits if gapless else weighted_fits
@@ -276,7 +277,7 @@ class GlsSolution:
         )
 
     def rows(self) -> Iterator[WhitenedRows]:
-        """Iterate over rows with the free unknowns' columns and the solution's residuals."""
+        """Yield rows with the free unknowns' columns and the solution's residuals."""
         replica_columns = self.encoders.replicas(self.values)
         sensors = self.sensor_values
         for rows in self.units.rows(self.passes, self.values, replica_columns):
@@ -377,7 +378,7 @@ def _noise_model(
     factor: float,
     share: float,
 ) -> NoiseModel:
-    """Noise model with the parameters that constants hide or encoder noise limits.
+    """Noise model, with names of parameters collinear with constants or limited by encoder noise.
 
     Args:
         solution: Generalised least-squares solution.
@@ -412,7 +413,7 @@ def white_noise_sensor_estimate(
     """Sensor unknowns under white noise, their standard deviations and shares, (s,) each.
 
     Accurate enough to correct a recording before the fit that follows. The share is sqrt(1 - R^2)
-    of an unknown's column regressed on all others: the part that no other unknown imitates.
+    of an unknown's column regressed on all other columns; one for known unknowns.
 
     Args:
         start: Weighted solution of the robot unknowns.
@@ -487,7 +488,7 @@ def _flagged_names(flags: Iterable[bool], names: tuple[str, ...]) -> tuple[str, 
 
 
 def _large_components(combinations: Array) -> NDArray[np.bool_]:
-    """True for unknowns with a large component in any of k combinations, (p + s,).
+    """True for components above a tenth of the largest of any combination, (p + s,).
 
     Args:
         combinations: Components of the combinations, (k, p + s).

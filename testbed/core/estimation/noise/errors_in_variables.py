@@ -52,6 +52,9 @@ class PositionNoise:
     def noisy_columns(self, combinations: Array) -> ColumnFunction | None:
         """Function that simulates encoder noise in combinations of columns; None without noise.
 
+        The function returns the change of the columns, (C, rows, q), by white noise, or for
+        quantised encoders by rounding with encoder zeros that change at random every 1024 samples.
+
         Args:
             combinations: Combinations of the unknowns' columns, (p, q).
         """
@@ -77,8 +80,8 @@ class PositionNoise:
     def replicas(self, values: Array) -> ColumnFunction | None:
         """Function that requantises positions and predicts rows' errors; None without quantisation.
 
-        Each of 24 replicas has encoder zeros of its own, which are constant: errors repeat with the
-        motion.
+        The function returns a column for each of 24 replicas, (C, rows, 24). Each replica has
+        encoder zeros of its own, which are constant: errors repeat with the motion.
 
         Args:
             values: Unknowns, (p,).
@@ -100,6 +103,9 @@ class PositionNoise:
 
     def white_noise(self, first: int, count: int) -> Array:
         """Filtered white noise of position, velocity and acceleration, (3, rows, n).
+
+        Its standard deviations are those of the encoders, zero for quantised encoders. Samples are
+        drawn in blocks with fixed seeds, and simulated at a reduced rate where rows are far apart.
 
         Args:
             first: Index of the first row.
@@ -130,7 +136,14 @@ class PositionNoise:
         )
 
     def _smooth_positions(self, signals: SignalWindow) -> Array:
-        """Low-passed positions of quantised encoders around the rows, (samples, coarse)."""
+        """Low-passed positions of quantised encoders around the rows, (samples, coarse) [rad or m].
+
+        The number of quantised encoders is `coarse`. The low-pass is that of the plan on rows, with
+        odd reflection at the ends; samples reach half a kernel beyond the first and the last row.
+
+        Args:
+            signals: Signals of the window.
+        """
         last = signals.start + (signals.row_count - 1) * signals.step
         half, around = self._kernels.shape[1] // 2, len(signals.weights) // 2
         positions = signals.position[
@@ -145,6 +158,8 @@ class PositionNoise:
 
     def _rounding_errors(self, smooth: Array, zeros: Array) -> Array:
         """Filtered rounding errors of position, velocity and acceleration, (3, rows, n).
+
+        They are zero for encoders without quantisation.
 
         Args:
             smooth: Positions before rounding, (samples, coarse) [rad or m].
@@ -202,7 +217,7 @@ class AttenuationCorrection:
 
     Attributes:
         fit: Corrected values and covariance.
-        directions: Combinations of the unknowns with normal matrix one before the correction, (m,
+        directions: Combinations of the unknowns with unit normal matrix before the correction, (m,
             m).
         share: Part of each combination's squared column that is noise, (m,).
     """
@@ -212,7 +227,10 @@ class AttenuationCorrection:
     share: Array
 
     def noise_limited(self, basis: Array) -> NDArray[np.bool_]:
-        """True for parameters whose identifying columns hold too much noise, (p,).
+        """True for parameters with more noise than REPORTED_NOISE_SHARE in their information, (p,).
+
+        The information is the inverse variance before the correction; noise is the part by which it
+        exceeds that after the subtraction of noise.
 
         Args:
             basis: Map from the unknowns to the parameters, (p, m).
@@ -229,7 +247,8 @@ class AttenuationCorrection:
 def correct_attenuation(fit: NoiseFit, noise: LaggedProducts) -> AttenuationCorrection:
     """Correct a fit for the attenuation by noise in its columns.
 
-    The expected noise is subtracted from the normal matrix, in its generalised eigenvectors.
+    The expected noise, at most MAX_NOISE_SHARE of each direction, is subtracted from the normal
+    matrix in its generalised eigenvectors.
 
     Args:
         fit: Fit with noise in its columns.

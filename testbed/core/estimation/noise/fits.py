@@ -78,9 +78,12 @@ FitFunction = Callable[[LaggedProducts, int | None], list[NoiseFit]]
 def whitened_fits(products: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
     """Generalised least squares for rows without gaps, one fit per response.
 
+    Noise and unknowns are estimated in turn, in four iterations, by restricted maximum likelihood.
+
     Args:
         products: Lagged products of the unknowns' columns, residuals and row indicators.
-        order: Order of the noise; None for the best order for the first response.
+        order: Order of the noise; None for that of the least Akaike criterion for the first
+            response.
     """
     unlagged = products.with_max_lag(0)
     weighted = _reweighted_least_squares(unlagged, products.rows)
@@ -114,11 +117,13 @@ def whitened_fits(products: LaggedProducts, order: int | None = None) -> list[No
 def weighted_fits(products: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
     """Weighted least squares for rows with gaps, one fit per response.
 
-    The covariance counts the autocovariance of the residuals (sandwich formula).
+    The covariance counts the autocovariance of the residuals (sandwich formula), with at least a
+    tenth of the variance under white noise. Autocovariances at high lags are extrapolated.
 
     Args:
         products: Lagged products of the unknowns' columns, residuals and row indicators.
-        order: Order of the noise; None for the largest lag.
+        order: Order of the returned noise, without effect on values and covariance; None for the
+            largest lag.
     """
     m, unlagged = products.unknowns, products.with_max_lag(0)
     counts = products.products[:, :, -1, -1].T  # (C, K + 1)
@@ -154,6 +159,9 @@ def weighted_fits(products: LaggedProducts, order: int | None = None) -> list[No
 
 def _max_order(products: LaggedProducts, unknowns: int) -> int:
     """Largest order that leaves enough rows for unknowns and coefficients.
+
+    There are at least ten rows per lag, and, after whitening, two rows (of all channels) per
+    unknown.
 
     Args:
         products: Lagged products.
@@ -211,10 +219,13 @@ def _reweighted_least_squares(
 ) -> _WeightedSolutions:
     """Weighted least-squares solutions, with channel weights by iterative reweighting.
 
+    Weights are inverse residual variances per degree of freedom, in three iterations.
+
     Args:
         products: Lagged products.
         rows: Number of rows, (C,) or the same for all channels.
-        coefficients: Coefficients of the whitening autoregressions, (R, C, P); None for none.
+        coefficients: Coefficients of the whitening autoregressions, (R, C, P); None for no
+            whitening.
     """
     m, trials, channels = (
         products.unknowns,
@@ -244,7 +255,12 @@ def _reweighted_least_squares(
 
 
 def _normal_solutions(sums: Array, m: int) -> tuple[Array, Array]:
-    """Inverses of the normal matrices, (R, m, m), and each response's solution, (R, m)."""
+    """Inverses of the normal matrices, (R, m, m), and each response's solution, (R, m).
+
+    Args:
+        sums: Products of the columns of unknowns, R responses and indicators, (R, q, q).
+        m: Number of unknowns.
+    """
     solutions = [
         inverse_and_solution(matrix[:m, :m], matrix[:m, m + r])
         for r, matrix in enumerate(sums)
@@ -254,7 +270,7 @@ def _normal_solutions(sums: Array, m: int) -> tuple[Array, Array]:
 
 
 def _sigmas(squares: Array, free: Array) -> Array:
-    """Standard deviations from sums of squared residuals and degrees of freedom."""
+    """Standard deviations from squared residuals and degrees of freedom, at least MIN_SIGMA."""
     return np.maximum(
         np.sqrt(np.maximum(squares, 0.0) / np.maximum(free, 1.0)), MIN_SIGMA
     )
@@ -265,7 +281,8 @@ def _noise_moments(
 ) -> Array:
     """Moments of the noise, sums of e_(t-i) e_(t-j), (R, C, P + 1, P + 1).
 
-    Sums are over t >= P, the order; what the unknowns fit of the noise is added back.
+    Sums are over t >= P, the order; the part of the noise that the unknowns fit is added back
+    (`_noise_forms`).
     """
     floor = MIN_SIGMA**2 * products.rows_with_history(order) * np.eye(order + 1)
     return products.moments(_noise_forms(products, weighted), order) + floor
@@ -275,7 +292,7 @@ def _noise_forms(products: LaggedProducts, weighted: _WeightedSolutions) -> Arra
     """Quadratic form of the squared noise in a row's columns, (R, q, q).
 
     It is b b' of the residual's combination b, plus the covariance of the unknowns, which adds back
-    what these fit of the noise.
+    the part of the noise that the unknowns fit.
     """
     m, forms = (
         products.unknowns,
@@ -302,10 +319,10 @@ def _outer_products(combinations: Array) -> Array:
 
 
 def _extrapolate_autocovariances(covariances: Array, rows: int) -> None:
-    """Replace autocovariances at high lags by the best autoregression's, in place.
+    """Replace autocovariances at high lags by an autoregression's, in place.
 
-    High lags are those beyond its order. Sums over few rows are mostly error, and the variance of a
-    slow column adds up all their errors.
+    The autoregression is that of the least Akaike criterion; high lags are those beyond its order.
+    Sums over few rows are mostly error, and the variance of a slow column adds up all their errors.
 
     Args:
         covariances: Autocovariances of the channels, (C, K + 1).

@@ -49,6 +49,8 @@ class Autoregression:
 def fit_autoregression(moments: Array, order: int) -> Array:
     """Fit coefficients of a stable autoregression by least squares, (..., P).
 
+    Characteristic roots beyond MAX_ROOT are scaled down, all of a channel by the same factor.
+
     Args:
         moments: Sums of e_(t-i) e_(t-j) over the same t, (..., K + 1, K + 1), K >= P.
         order: Order P.
@@ -288,8 +290,11 @@ class LaggedProducts:
     def with_constants(self, directions: Array) -> LaggedProducts:
         """Products with columns of constants inserted after the unknowns' columns.
 
+        A constant's column in a channel is the row indicator times the channel's component.
+
         Args:
-            directions: Combinations of the channels with a constant, (C, k).
+            directions: Combinations of the channels with a constant, (C, k); unchanged products for
+                k = 0.
         """
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
@@ -459,7 +464,7 @@ class LaggedSums:
         )
 
     def _current_edges(self) -> list[tuple[Array, Array]]:
-        """First and last rows of the current sequence; an empty list without rows."""
+        """First and last K rows of the current sequence, (C, K, q) each; empty without rows."""
         if self._recent is None:
             return []
         channels, _, columns = self._recent.shape

@@ -18,7 +18,9 @@ MAX_REPEAT_DIFFERENCE = 1e-3
 def period_of(position: Array) -> int | None:
     """Period of a motion in samples, from encoder positions; None without a repetition.
 
-    A recording shows a period only if it lasts one and a half periods at least.
+    The period is the lag of the first minimum of the semivariogram below MAX_REPEAT_DIFFERENCE,
+    after a value above 0.3; signals have variance one, and joints with less than 1 % of the largest
+    spread are ignored. A recording shows a period only if it lasts one and a half periods at least.
 
     Args:
         position: Positions at evenly spaced times, (m, n) [rad or m].
@@ -51,6 +53,10 @@ def period_of(position: Array) -> int | None:
 def lag_of(position: Array, other: Array) -> float | None:
     """Lag of a second recording of the same motion, in samples; None for another motion.
 
+    Sample k of the first recording has the pose of sample k + lag of the second. The same motion
+    has half a mean square difference below MAX_REPEAT_DIFFERENCE, in units of each joint's
+    variance; joints with less than 1 % of the largest spread are ignored.
+
     Args:
         position: Positions at evenly spaced times, (m, n) [rad or m].
         other: Positions of the second recording, (k, n) [rad or m].
@@ -81,7 +87,7 @@ def lag_of(position: Array, other: Array) -> float | None:
 def _semivariogram(unit: Array) -> Array:
     """Semivariogram by FFT: half the mean square of x_t - x_(t - lag).
 
-    Lags run up to two thirds of the samples.
+    Lags run up to two thirds of the samples; the mean is over samples and signals.
 
     Args:
         unit: Signals with mean zero and variance one, (m, n).

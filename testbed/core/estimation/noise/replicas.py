@@ -125,6 +125,9 @@ class Bootstrap:
     def result(self, fit_function: FitFunction) -> float:
         """Factor on standard deviations, at least one.
 
+        It is the rms over replicas and parameters of estimates from noise alone, in units of sigma
+        by the formula.
+
         Args:
             fit_function: Function that fitted the rows.
         """
@@ -148,14 +151,14 @@ class QuantizationSums:
         self._sums, self._rows = LaggedSums(fit.weighting.order), 0
 
     def add(self, rows: WhitenedRows) -> None:
-        """Add a block of consecutive rows."""
+        """Add a block of consecutive rows; blocks without noise columns are left out."""
         if rows.noise_columns.shape[2]:
             columns = rows.columns[..., : len(self._inverse)]
             self._sums.add(np.concatenate([columns, rows.noise_columns], axis=2))
             self._rows += rows.ones.size
 
     def result(self) -> tuple[Array, float]:
-        """Covariance due to quantisation, (m, m), and share of the residuals' squares.
+        """Covariance due to quantisation, (m, m), and share of the whitened residuals' squares.
 
         Both are zero without quantised encoders.
         """

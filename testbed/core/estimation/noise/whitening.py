@@ -138,7 +138,9 @@ class Whitening:
         )
 
     def free_products(self, products: LaggedProducts) -> LaggedProducts:
-        """Lagged products of the free unknowns' columns; constrained part off the residuals.
+        """Lagged products for the free unknowns, with the fixed part of the residuals subtracted.
+
+        The fixed part is the prediction of `fixed_values`, where the free unknowns are zero.
 
         Args:
             products: Lagged products of all unknowns' columns, residuals and row indicators.
@@ -155,7 +157,9 @@ class Whitening:
     def rows(
         self, passes: Passes, values: Array, noise_columns: ColumnFunction | None
     ) -> Iterator[WhitenedRows]:
-        """Iterate over whitened rows, block by block.
+        """Yield whitened rows, block by block.
+
+        Residuals are measurements minus the prediction by `values`; sensor unknowns are zero.
 
         Args:
             passes: Passes over all rows.
@@ -235,8 +239,9 @@ def whitening_of(
 ) -> Whitening:
     """Whitening by the weights and the normal matrix of a weighted solution.
 
-    Columns are made orthonormal from the bedplate outward, so that a joint's row holds those of its
-    subtree only, or few more: the last ones.
+    Columns are made orthonormal from the bedplate outward, so that the row of a joint has nonzero
+    entries only in the last columns, those of its subtree or few more. Constraints reduce the free
+    unknowns.
 
     Args:
         start: Weighted solution, and the weights in whose units rows are taken.

@@ -81,7 +81,11 @@ def _posture_positions(tree: Tree, name: str, posture: str) -> Array:
     Args:
         tree: Robot.
         name: Full name, for the error message.
-        posture: Text of the joint positions.
+        posture: Text of the joint positions [rad or m]; "" for all zero.
+
+    Raises:
+        UnknownName: There is no such joint.
+        SettingsError: A position is no finite number.
     """
     q = np.zeros(tree.n)
     for word in filter(None, posture.split(",")):
@@ -196,7 +200,7 @@ class LinearConstraints:
 
 @dataclass(frozen=True, eq=False)
 class NullSpace:
-    """Solutions of linear constraints in terms of free unknowns z: x = fixed @ values + lead z.
+    """Solutions x = right_inverse @ values + basis z of linear constraints, z free unknowns.
 
     Attributes:
         basis: Null-space basis, (m, m - k).
@@ -215,6 +219,9 @@ def known_value_constraints(
     known: Mapping[str, tuple[float, float]],
 ) -> LinearConstraints:
     """Linear constraints for known values of a robot's unknowns and sensor coefficients.
+
+    A centre of mass becomes the constraint that the first moment less the value times the mass is
+    zero, with a sigma in proportion to the mass.
 
     Args:
         tree: Robot.

@@ -79,7 +79,9 @@ def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
 
 
 def matrix_square_root(matrix: Array) -> Array:
-    """R with R R' the matrix, (m, m); by eigenvalues for a singular matrix.
+    """Cholesky factor R with R R' the matrix, (m, m); by eigenvalues for a singular matrix.
+
+    Eigenvalues are those of the matrix scaled to unit diagonal, at least MIN_EIGENVALUE.
 
     Args:
         matrix: Symmetric positive semidefinite matrix, (m, m).
@@ -99,6 +101,9 @@ def matrix_square_root(matrix: Array) -> Array:
 def inverse_square_root(matrix: Array) -> Array:
     """R with R R' the inverse of a matrix, (m, m): R' matrix R = 1.
 
+    R is the transposed inverse of the Cholesky factor; by eigenvalues for an ill-conditioned
+    matrix.
+
     Args:
         matrix: Symmetric positive definite matrix, (m, m).
     """
@@ -112,7 +117,8 @@ def inverse_square_root(matrix: Array) -> Array:
 def _well_conditioned_factor(matrix: Array) -> Array | None:
     """Lower Cholesky factor, (m, m); None for an ill-conditioned matrix.
 
-    Unlike eigenvalues, its rounding does not depend on units.
+    A matrix is ill-conditioned if a squared pivot is at most 1e-6 of the diagonal element, or if it
+    has no factor. Unlike that of eigenvalues, the factor's rounding does not depend on units.
     """
     factor, failed = linalg.lapack.dpotrf(matrix.T, lower=True, clean=True)
     remainder = factor.diagonal() ** 2
@@ -122,7 +128,10 @@ def _well_conditioned_factor(matrix: Array) -> Array | None:
 
 
 def _inverse_root_by_eigenvalues(matrix: Array) -> Array:
-    """R with R R' the inverse of an ill-conditioned matrix, by eigenvalues, (m, m)."""
+    """R with R R' the inverse of an ill-conditioned matrix, by eigenvalues, (m, m).
+
+    Eigenvalues are those of the matrix scaled to unit diagonal, raised to at least MIN_EIGENVALUE.
+    """
     unit, scale = unit_diagonal(matrix)
     eigenvalues, eigenvectors = eigh(unit)
     return np.asarray(

@@ -86,7 +86,7 @@ class Survey:
 
 
 class Surveyor:
-    """Collector of a survey from windows in any order."""
+    """Collector of the `Survey` of a recording from its windows, in any order."""
 
     def __init__(self, samples: int) -> None:
         """Start a survey of a recording with the given number of samples."""
@@ -121,7 +121,11 @@ class Surveyor:
             )
 
     def survey(self) -> Survey:
-        """Survey of all windows added, in the order of time."""
+        """Subsample, repeats, encoder noise and least counts of all windows, in order of time.
+
+        Noise and least counts are medians over windows; no noise from MAX_HELD_FRACTION of repeats
+        on.
+        """
         parts = zip(
             *(self._subsamples[first] for first in sorted(self._subsamples)),
             strict=True,
@@ -177,7 +181,8 @@ def _per_encoder(quantity: Callable[[Array], float], position: Array) -> Array:
 def noise_variance(position: Array) -> float:
     """Mean square of white noise in consecutive positions; zero for too few positions.
 
-    By high-order differences, which remove the motion.
+    Differences of order DIFFERENCE_ORDER remove the motion; their mean squares over NOISE_SEGMENT
+    samples are reduced to the median.
 
     Args:
         position: Positions of one encoder, (m,) [rad or m].
@@ -192,7 +197,9 @@ def noise_variance(position: Array) -> float:
 
 
 def _least_count(position: Array) -> float:
-    """Least count of an encoder; zero for none, nan for too few small changes.
+    """Least count of an encoder; zero for none, nan for fewer than 16 small changes.
+
+    Small changes are up to 4.5 times the smallest; 95 % of them have to be multiples of the count.
 
     Args:
         position: Consecutive positions of one encoder, (m,) [rad or m].
@@ -212,7 +219,7 @@ def _least_count(position: Array) -> float:
 
 
 def _counts_above_noise(counts: Array, noise: Array) -> Array:
-    """Median least count of each encoder, (n,); zero where noise blurs it.
+    """Median least count of each encoder, (n,); zero for noise of 0.4 counts.
 
     Args:
         counts: Least counts by window, (windows, n); nan where unknown.
@@ -237,7 +244,7 @@ load."""
 
 
 def is_compiled(plan: Plan) -> bool:
-    """True if the compiled kernel computes a plan's rows; by default for large jobs."""
+    """True if the compiled kernel computes a plan's rows; by default above MIN_COMPILED_SECONDS."""
     # measured time of NumPy per sample, and per sample and number of `Layout.theta` [s]
     seconds = plan.source.samples * (4e-6 + 6e-9 * plan.layout.theta.size)
     preferred = plan.engine == "compiled" or (
@@ -279,7 +286,7 @@ def scale_to_unit_noise(
 ) -> list[Block]:
     """Scale rows with excluded samples so that white noise has its usual variance.
 
-    Rows with too few included samples become zero.
+    Rows with less than MIN_INCLUDED_SHARE of their squared weights included become zero.
 
     Args:
         layout: Layout of the rows.
@@ -358,7 +365,7 @@ class Passes:
         *column_functions: ColumnFunction | None,
         gaps: bool = True,
     ) -> Iterator[tuple[Array, ...]]:
-        """Blocks of all rows, with additional columns between combined columns and measurements.
+        """Yield blocks of all rows: combined columns, additional columns, and measurements.
 
         Args:
             combined: Matrix that combines the columns, (p, q).
@@ -393,7 +400,7 @@ class Passes:
     def _window_results(
         self, compute: Callable[[Recording, Window], Result]
     ) -> Iterator[Result]:
-        """Results of a function for all windows, in order, computed by several threads.
+        """Yield results of a function for all windows, in order, computed by several threads.
 
         Args:
             compute: Function of the samples of a window and the window.

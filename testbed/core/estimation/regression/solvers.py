@@ -26,6 +26,9 @@ MIN_RELATIVE_NOISE = 1e-7
 def noise_weights(equations: NormalEquations) -> Array:
     """Weights of the channels, (C,): inverse variances of their noise, estimated iteratively.
 
+    The variances are mean squared residuals of weighted fits, in four iterations, limited below by
+    MIN_RELATIVE_NOISE.
+
     Args:
         equations: Normal equations of all rows.
     """
@@ -83,12 +86,17 @@ class Fit:
 def raise_unseen_parameters(
     names: Sequence[str], directions: Array, rows: int
 ) -> NoReturn:
-    """Raise UnseenParameters with the names of the unknowns in undetermined directions.
+    """Raise UnidentifiableParameters with the names of the unknowns in undetermined directions.
+
+    Unknowns with a component above 0.1 in an undetermined direction are named.
 
     Args:
         names: Names of the unknowns, (p,).
         directions: Undetermined directions, (k, p).
         rows: Number of rows.
+
+    Raises:
+        UnidentifiableParameters: Always.
     """
     shares = abs(directions).max(axis=0)
     # component in an undetermined direction above which an unknown is named
@@ -101,13 +109,15 @@ def raise_unseen_parameters(
 def solve_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
     """Solution of the weighted normal equations; its errors grow with the condition squared.
 
+    Unknowns without influence on a weighted channel are nan.
+
     Args:
         equations: Normal equations of all rows.
         weights: Weights of the channels, (C,).
 
     Raises:
-        UnseenParameters: The equations do not determine all unknowns that influence them; lists the
-            names.
+        UnidentifiableParameters: The equations do not determine all unknowns that influence them;
+            lists the names.
     """
     matrix, vector, rows = (
         equations.matrix(weights),
@@ -148,7 +158,7 @@ def solve_by_qr(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
         rows: Function that starts a pass over all rows; each block updates the triangular factor.
 
     Raises:
-        UnseenParameters: The equations do not determine all unknowns; lists the names.
+        UnidentifiableParameters: The equations do not determine all unknowns; lists the names.
     """
     _, scale = unit_diagonal(equations.matrix(weights))
     p = len(scale)
@@ -178,13 +188,16 @@ def solve_by_qr(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
 def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
     """Weighted solution by normal equations, or by QR where these are ill-conditioned.
 
+    QR is used for a condition number above 1e4, and if normal equations do not determine all
+    unknowns.
+
     Args:
         equations: Normal equations of all rows.
         weights: Weights of the channels, (C,).
         rows: Function that starts a pass over all rows.
 
     Raises:
-        UnseenParameters: The equations do not determine all unknowns; lists the names.
+        UnidentifiableParameters: The equations do not determine all unknowns; lists the names.
     """
     # the rows may determine unknowns that sums of products do not, by rounding
     with suppress(UnidentifiableParameters):
@@ -207,7 +220,8 @@ def fit(equations: NormalEquations, weights: Mapping[str, float] | None = None) 
 
     Raises:
         UnknownName: There is no such channel.
-        UnseenParameters: The channels cannot distinguish all parameters that influence them.
+        UnidentifiableParameters: The channels cannot distinguish all parameters that influence
+            them.
     """
     if weights is None:
         chosen = noise_weights(equations)

@@ -118,7 +118,8 @@ def slope_weights(weights: Array, places: NDArray[np.int64], rate: float) -> Arr
     """Weights of some samples for the derivative of a low-passed signal, (k,) [1/s].
 
     Integration by parts: the filtered derivative is the signal times the derivative of the filter,
-    plus a term at either end of the filter.
+    plus a term at either end of the filter. The sum is scaled to be exact for a ramp; zero for a
+    single sample.
 
     Args:
         weights: Weights of the symmetric filter, (2 L + 1,).
@@ -283,7 +284,11 @@ class Plan:
         return self.source.rate / self.step
 
     def windows(self) -> Iterator[Window]:
-        """Windows of all rows in order, in whole blocks, independent of the kind of source."""
+        """Yield the windows of all rows in order, of about WINDOW_SAMPLES samples each.
+
+        Windows have whole blocks of rows, except before gaps, and are the same for any kind of
+        source.
+        """
         block = self.layout.rows.block
         size = max(1, WINDOW_SAMPLES // (block * self.step)) * block
         ends = [last for _, last in self.source.segments]
@@ -298,7 +303,7 @@ class Plan:
 
     @property
     def analysed_windows(self) -> frozenset[int]:
-        """First rows of the windows whose encoder noise is analysed."""
+        """First rows of the windows, at most ANALYSED_WINDOWS, whose encoder noise is analysed."""
         rows = [window.row for window in self.windows()]
         if len(rows) > ANALYSED_WINDOWS:
             rows = [
@@ -373,7 +378,10 @@ class Plan:
         return np.where(excluded, 0.0, 1.0) if excluded.any() else EMPTY_MATRIX
 
     def _varying(self, part: Recording, window: Window) -> Array:
-        """Time since the source's middle [s], and drive temperatures above 25 degC, (M, 1 + n)."""
+        """Time since the source's middle [s], and drive temperatures above 25 degC, (M, 1 + n).
+
+        Temperatures that were not recorded are zero.
+        """
         time = (
             window.first + np.arange(part.samples) - self.source.samples / 2
         ) / self.source.rate

@@ -14,6 +14,9 @@ def completed_by_estimates(
 ) -> Settings:
     """Settings completed by the terms and filters that estimates chose from their data.
 
+    Terms are those of the estimate by joint torques, the cutoff on positions that of an estimate
+    with the diagnostic "encoder.filter".
+
     Args:
         settings: Settings of the estimates as requested.
         estimates: Estimates by one method or by both.

@@ -45,7 +45,7 @@ class Folds:
     def overlaps(
         self, first: int, rows: int, reach: int = 0
     ) -> Iterator[tuple[int, slice]]:
-        """Folds that overlap a block of rows, each with the slice of its rows.
+        """Yield indices of folds that overlap a block of rows, with slices of the block.
 
         Args:
             first: Index of the block's first row.
@@ -61,9 +61,11 @@ class Folds:
     def products(self, blocks: Iterable[Array]) -> CrossProducts:
         """Products of the columns of each fold's test rows and training rows.
 
+        Training rows are all rows outside of the fold and its reach.
+
         Args:
-            blocks: Columns of all rows in order, (C, k, m) a block; the last column is the
-                measurement.
+            blocks: Blocks of consecutive rows: values of m columns in k rows of C channels, (C, k,
+                m); the last column is the measurement.
         """
         sums: dict[tuple[int, int], Any] = defaultdict(float)
         first, shape = 0, (0, 0, 0)
@@ -90,6 +92,8 @@ class Folds:
 class CrossProducts:
     """Products of columns fold by fold, channel by channel; the last column is the measurement.
 
+    There are C channels and m columns, including the measurement.
+
     Attributes:
         test: Products of each fold's test rows, (folds, C, m, m).
         training: Products of each fold's training rows, (folds, C, m, m).
@@ -112,7 +116,7 @@ class CrossProducts:
     def residual_squares(
         self, validation: CrossValidation, columns: Sequence[int]
     ) -> Array:
-        """Sum of squared test residuals of each channel, (C,), for fits of some columns.
+        """Sum of squared test residuals of each channel, (C,), for fits of the given columns.
 
         Args:
             validation: Weighted sums of these products, which determine the fits.
@@ -135,7 +139,7 @@ class CrossValidation:
     training: Array
 
     def values(self, columns: Sequence[int]) -> Array:
-        """Coefficients of some columns, fitted to each fold's training rows, (folds, k)."""
+        """Coefficients of k given columns, fitted to each fold's training rows, (folds, k)."""
         indices = list(columns)
         return np.array(
             [
@@ -145,7 +149,7 @@ class CrossValidation:
         )
 
     def residual_squares(self, columns: Sequence[int]) -> Array:
-        """Sum of squared test residuals of each fold, (folds,), for fits of some columns."""
+        """Sum of squared test residuals of each fold, (folds,), for fits of the given columns."""
         return _residual_squares(self.test, columns, self.values(columns))
 
     def squares_with_candidates(
@@ -153,8 +157,8 @@ class CrossValidation:
     ) -> Array:
         """Sum of squared test residuals with one more column, (folds, candidates).
 
-        Each candidate column is added alone. Infinite for a candidate that is a linear combination
-        of the columns.
+        Each candidate column is added alone, and all coefficients are fitted to the training rows.
+        Infinite for a candidate that is there a linear combination of the columns.
 
         Args:
             columns: Indices of the columns of all fits.

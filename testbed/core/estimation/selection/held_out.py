@@ -77,7 +77,8 @@ class ForwardSelection:
 
     Attributes:
         steps: Steps of the selection, the base columns first.
-        next_best: Next step, whose gain is insufficient; None if no candidates remain.
+        next_best: Step with the best remaining candidate, whose gain is insufficient; None if no
+            candidates remain.
     """
 
     steps: tuple[SelectionStep, ...]
@@ -89,7 +90,7 @@ class TestResiduals:
     """Test residuals of a cross-validation, channel by channel.
 
     Attributes:
-        channels: Names of the channels.
+        channels: Names of the channels, (n,).
         units: Unit of each channel, N m or N.
         signal: Rms of the measurements, (n,) [N m or N].
         residual: Rms of the test residuals, (n,) [N m or N].
@@ -120,8 +121,8 @@ class TermChoice:
 
     Attributes:
         words: Chosen terms such as "coulomb/elbow", as in `Settings.terms`.
-        growth: Steps of the selection, the laws of all joints and shafts first.
-        before: Test residuals with the laws of all joints only.
+        growth: Steps of the forward selection, which starts with the default laws.
+        before: Test residuals with the default laws (`usual_terms`) only.
         after: Test residuals with all chosen laws.
         parts: Number of folds.
     """
@@ -141,6 +142,10 @@ def forward_selection(
     exclusive: Callable[[Key, Key], bool] = lambda one, other: False,
 ) -> tuple[list[Key], ForwardSelection]:
     """Select columns one after the other by their significant gain in cross-validation.
+
+    A gain is significant if it is at least 2 standard errors (MIN_Z_GAIN) and reduces the rms test
+    residual by 2 % (MIN_RELATIVE_GAIN). Of these candidates, that with the smallest residual is
+    added.
 
     Args:
         folds: Products of the folds.

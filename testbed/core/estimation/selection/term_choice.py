@@ -52,6 +52,8 @@ MIN_ROWS_PER_FOLD = 4
 def with_chosen_terms(problem: Problem) -> tuple[Problem, TermChoice | None]:
     """Problem with all terms stated, chosen by cross-validation for "auto", and the evidence.
 
+    For the force plate, and for stated terms: the same problem and None.
+
     Args:
         problem: Problem of either method.
     """
@@ -96,9 +98,10 @@ def with_distinguishable_terms(problem: Problem) -> Problem:
 def _one_way_laws(
     problem: Problem, equations: NormalEquations
 ) -> Iterator[tuple[int, JointLaw]]:
-    """Joints that move in one direction only, each with the law of the constant torque.
+    """Yield joints that move in one direction only, with the law of the constant torque.
 
-    The law is the sum of dry friction and offset, forward or backward.
+    There the columns of dry friction and offset are collinear (MIN_INDEPENDENT_SHARE). The law is
+    the sum of both for motion forward, or backward.
     """
     for joint, name in enumerate(problem.channels):
         terms = f"{COULOMB.kind}/{name}", f"{OFFSET.kind}/{name}"
@@ -117,6 +120,9 @@ def _one_way_laws(
 
 def choose_terms(problem: Problem) -> TermChoice:
     """Choose the joint laws of a problem by forward selection in cross-validation.
+
+    The default laws (`usual_terms`) are always included. Candidates are rotor, CANDIDATE_LAWS, and
+    laws of recorded time or temperature, for each joint and shaft separately.
 
     Args:
         problem: Problem of joint torques; the terms of its settings do not matter.
@@ -173,6 +179,8 @@ def choose_terms(problem: Problem) -> TermChoice:
 
 def cross_validate(problem: Problem) -> TestResiduals:
     """Test residuals of a cross-validation with the terms of the settings.
+
+    FOLD_COUNT (6) consecutive folds are predicted by fits to the others.
 
     Args:
         problem: Problem of either method.
@@ -232,21 +240,21 @@ class _FoldedRows:
         return cls(channel_units(problem.tree, problem.method), equations, products)
 
     def validation(self, columns: Sequence[int]) -> CrossValidation:
-        """Products weighted by the inverse noise variances of a fit of some columns.
+        """Products weighted by the inverse noise variances of a fit of the given columns.
 
         Args:
-            columns: Indices of the columns.
+            columns: Indices of the columns fitted to all rows.
         """
         return self.products.weighted_sums(
             noise_weights(self.equations.of_unknowns(columns))
         )
 
     def held_out(self, folds: CrossValidation, columns: Sequence[int]) -> TestResiduals:
-        """Test residuals of each channel for fits of some columns.
+        """Test residuals of each channel for fits of the given columns.
 
         Args:
             folds: Weighted products, which determine the fits.
-            columns: Indices of the columns.
+            columns: Indices of the fitted columns.
         """
         used, signal = self.equations.used, self.equations.rms
         squares = self.products.residual_squares(folds, columns)

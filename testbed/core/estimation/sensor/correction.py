@@ -34,7 +34,9 @@ class CalibrationCovariance:
     def calibrated_errors(
         self, tree: Tree, estimated: Sequence[type[SystematicError]]
     ) -> list[type[SystematicError]]:
-        """Calibrated sensor errors that are not estimated in any case.
+        """Sensor errors with calibrated coefficients that are not among the estimated errors.
+
+        Errors whose coefficients differ between recordings are excluded.
 
         Args:
             tree: Robot.
@@ -56,6 +58,8 @@ class CalibrationCovariance:
         unknowns: Sequence[str],
     ) -> LinearConstraints:
         """Constraints plus neutral values of coefficients, with the calibration's covariance.
+
+        After correction, the coefficients are neutral except for errors of the calibration.
 
         Args:
             constraints: Constraints on the unknowns.

@@ -14,7 +14,9 @@ from testbed.sensors.predicted_wrench import PredictedWrench, RowFilter
 def row_filter(
     plan: Plan, cutoff: float, *, exact: bool = False, position_cutoff: float = 0.0
 ) -> RowFilter:
-    """Low-pass on rows at a reduced rate of samples, with weights for values and slopes.
+    """Low-pass on rows at a reduced rate, with weights for values and time derivatives.
+
+    The reduced rate is at least ten times the cutoff.
 
     Args:
         plan: Plan of the rows.

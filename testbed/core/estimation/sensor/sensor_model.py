@@ -103,6 +103,10 @@ class SensorModel:
         Args:
             problem: Robot and recording; its settings state the sensor errors.
             doubt: Covariance of the plate calibration; None for none.
+
+        Raises:
+            SettingsError: The wrench is a difference of two sensors, for which an error cannot be
+                estimated; or known values do not fix the scale of a crosstalk matrix.
         """
         settings, names, tree = problem.settings, problem.names, problem.layout.tree
         plate = problem.method == "wrench"
@@ -238,6 +242,9 @@ class SensorModel:
     def diagnostics(self, result: GaussNewtonResult) -> Iterator[Diagnostic]:
         """Diagnostics of collinear and weakly determined coefficients, and of convergence.
 
+        Weakly determined: less than MIN_OWN_SHARE (0.1) of a coefficient's effect is independent of
+        the other unknowns. Not converged: after MAX_ITERATIONS.
+
         Args:
             result: Result of the Gauss-Newton iterations.
         """
@@ -269,7 +276,7 @@ def _check_sensor_difference(
 ) -> None:
     """Raise SettingsError for sensor errors that a difference of two sensors cannot identify.
 
-    Only additive errors, zeros and trends, are identifiable there.
+    Only additive errors, zeros and trends, are identifiable from such a difference.
     """
     unsupported = [
         error.term
@@ -290,6 +297,8 @@ def _check_joint_identifiability(
 ) -> None:
     """Check sensor errors that are useful only if all coefficients are identifiable.
 
+    Such an error is the plate's crosstalk matrix.
+
     Raises:
         SettingsError: Some coefficients are not identifiable; explains remedies.
     """
@@ -308,8 +317,9 @@ class GaussNewtonResult(NamedTuple):
     Attributes:
         solution: Weighted solution of the recording corrected by the values.
         values: Values of the coefficients, (s,).
-        converged: True if the last step was small.
-        weak: Names of coefficients that the data hardly determine.
+        converged: True if the last step was below 0.05 sigma.
+        weak: Names of coefficients with less than MIN_OWN_SHARE of their effect independent of the
+            other unknowns.
     """
 
     solution: LinearFit
@@ -322,6 +332,8 @@ def gauss_newton(
     source: Source, solve: Callable[[Source], LinearFit], model: SensorModel
 ) -> GaussNewtonResult:
     """Estimate sensor coefficients by Gauss-Newton iterations that correct the recording.
+
+    They end when all steps are below 0.05 sigma, or after MAX_ITERATIONS.
 
     Args:
         source: Recording.

@@ -132,8 +132,8 @@ class SensorErrorColumns:
             unknowns: Unknown coefficients.
             unmixing: Inverse of the crosstalk matrix by which the recording was corrected, (6, 6);
                 None for none.
-            unfolded: Filter on rows at a higher rate, for sensor errors that need it; default the
-                same filter.
+            unfolded: Filter on rows at a higher rate, for sensor errors whose columns would alias
+                encoder noise; default the same filter.
         """
         self._unfolded = unfolded or filtered
         self._unmixing = unmixing
@@ -214,7 +214,8 @@ def identifiable_subset(
 ) -> tuple[SensorUnknowns, tuple[NonIdentifiable, ...]]:
     """Sensor coefficients that are identifiable beside the parameters, and the others.
 
-    Rank test on the columns of a random robot along a random motion, without the data.
+    Rank test on the columns of a random robot along a random motion, without the data. Coefficients
+    with known values are not tested; they are among the identifiable ones.
 
     Args:
         problem: Robot and recording.
@@ -251,9 +252,9 @@ NamedColumns = tuple[Array, Sequence[str]]
 def _independent_columns(
     first_columns: NamedColumns, candidates: NamedColumns, is_known: Sequence[bool]
 ) -> tuple[tuple[int, ...], tuple[NonIdentifiable, ...]]:
-    """Indices of columns that are linearly independent of the columns before, and the others.
+    """Indices of columns that are linearly independent of earlier columns, and the others.
 
-    Gram-Schmidt orthogonalisation.
+    Gram-Schmidt orthogonalisation of unit columns; a remainder up to 1e-6 is zero.
 
     Args:
         first_columns: Columns before all candidates.
@@ -327,7 +328,9 @@ def _generic_columns(
     rows: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Columns of the parameters and of the sensor errors along a generic motion, (6 rows, .).
+    """Columns of p parameters, (6 rows, p), and of s sensor coefficients, (6 rows, s).
+
+    They are those of random parameters along a generic motion at 50 Hz.
 
     Args:
         problem: Robot and recording.

@@ -111,9 +111,9 @@ def _links(
     """Bodies of the compiled model as links, with inertias as stated in the file.
 
     Args:
-        model: Compiled model.
+        model: Compiled model, with locked joints removed.
         stated: Explicit inertias by body.
-        path: MJCF file.
+        path: MJCF file, whose own bodies without joints define `fixed_carrier`.
     """
     spec = parse_mjcf(path)  # referenced while its bodies are in use
     jointed = {body.name for body in spec.bodies if body.joints}
@@ -132,10 +132,10 @@ def _links(
 
 
 def _check_distances(model: mujoco.MjModel, path: Path) -> None:
-    """Check that positions of bodies, joints and mass centres are at most FARTHEST.
+    """Check that coordinates of bodies, joints and mass centres are at most MAX_COORDINATE.
 
     Raises:
-        ModelError: A position is farther away.
+        ModelError: A coordinate in the local frame exceeds MAX_COORDINATE.
     """
     bodies, joints = range(1, model.nbody), range(model.njnt)
     points = [
@@ -157,7 +157,11 @@ def _check_distances(model: mujoco.MjModel, path: Path) -> None:
 def _joints(
     model: mujoco.MjModel,
 ) -> tuple[tuple[Joint, ...], dict[int, tuple[int, Transform]]]:
-    """Joints of the tree; owner in the tree and pose X_OB there, by MuJoCo body."""
+    """Joints of the tree; owner in the tree and pose X_OB there, by MuJoCo body.
+
+    The owner O is the tree's body that contains MuJoCo's body B (-1: bedplate). A MuJoCo body with
+    several joints becomes as many bodies of the tree in series.
+    """
     joints: list[Joint] = []
     poses = {0: (-1, Transform())}
     for b in range(1, model.nbody):
@@ -234,7 +238,10 @@ def _is_disabled(model: mujoco.MjModel, flag: str) -> bool:
 def _inertia_of(
     model: mujoco.MjModel, b: int, stated: dict[str, ExplicitInertia]
 ) -> Inertia:
-    """Inertia of MuJoCo body b in its body frame, from the file if explicit there.
+    """Inertia of a MuJoCo body about and along its frame.
+
+    As stated in the file if explicit there, else as computed by the compiler, with zero for a mass
+    up to MIN_COMPILED_MASS.
 
     Args:
         model: Compiled model.

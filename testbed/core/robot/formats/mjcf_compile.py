@@ -80,6 +80,10 @@ class _SizeCounter:
         Args:
             path: Model file.
             within: Files that include this file, outermost first.
+
+        Raises:
+            ModelError: The file includes itself, or files include each other more than
+                MAX_FILE_DEPTH deep.
         """
         place = path.resolve()
         if place in within:
@@ -95,11 +99,16 @@ class _SizeCounter:
         return self._sizes[place]
 
     def _count_elements(self, path: Path, within: tuple[Path, ...]) -> _ModelSize:
-        """Count the elements and bodies of a file; check encoding and numbers.
+        """Count the elements and bodies of a file, copies included; check encoding and numbers.
+
+        An <attach> counts the model that it names, or the largest of the file for an unknown name.
 
         Args:
             path: Model file.
-            within: This file and the files that include it, outermost first.
+            within: The files that include this file, outermost first, and this file.
+
+        Raises:
+            ModelError: The file is not UTF-8 or not XML, or a stated size exceeds a limit.
         """
         root = read_xml(path)
         try:
@@ -149,7 +158,7 @@ class _SizeCounter:
         """Check sizes stated by a height field, a mesh or a <size> element.
 
         Raises:
-            ModelError: A size exceeds the limit.
+            ModelError: A size exceeds MAX_HFIELD_CELLS, MAX_MESH_PARAMETER or MAX_RESERVED.
         """
         if element.tag == "hfield":
             if (
@@ -184,7 +193,7 @@ def _largest_number(element: ET.Element, key: str) -> float:
 
 
 def _elements_with_copies(root: ET.Element) -> Iterator[tuple[ET.Element, int]]:
-    """Elements of a file, each with its number of copies."""
+    """Yield the elements of a file with their numbers of copies by enclosing <replicate> etc."""
     pending = [(root, 1)]
     while pending:
         element, copies = pending.pop()
@@ -209,14 +218,16 @@ FULLINERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """Compile a MuJoCo model; drop unreadable meshes without effect on inertias if it fails.
+    """Compile a MuJoCo model; if that fails, drop unreadable meshes and compile again.
+
+    Only meshes without effect on inertias are dropped.
 
     Args:
         spec: Editable model, changed in place if meshes are dropped.
         path: Model file, for messages.
 
     Raises:
-        ModelError: MuJoCo rejects the model.
+        ModelError: MuJoCo rejects the model, or an unreadable mesh determines an inertia.
     """
     with suppress_mujoco_warnings():
         try:
@@ -232,7 +243,7 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
 
 
 def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ...]:
-    """Remove meshes that MuJoCo cannot read, and their geoms, from a model.
+    """Remove meshes that MuJoCo cannot compile, and their geoms, from a model.
 
     Args:
         spec: Editable model, changed in place.
@@ -266,7 +277,7 @@ def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic,
 
 
 def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
-    """MuJoCo's error message for one mesh, compiled alone; None if readable."""
+    """MuJoCo's error message for a model with a single mesh; None if the mesh compiles."""
     mesh_spec = spec.copy()
     extract_explicit_inertias(mesh_spec)
     for geom in list(mesh_spec.geoms):
@@ -284,7 +295,7 @@ def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
 
 @contextmanager
 def suppress_mujoco_warnings() -> Iterator[None]:
-    """Context manager that suppresses MuJoCo's warnings and standard error.
+    """Suppress MuJoCo's warnings and standard error within a context.
 
     MuJoCo otherwise writes to the terminal and to MUJOCO_LOG.TXT.
     """
@@ -295,7 +306,7 @@ def suppress_mujoco_warnings() -> Iterator[None]:
 
 @contextmanager
 def suppress_step_warnings() -> Iterator[None]:
-    """Context manager that suppresses MuJoCo's warnings during steps, not standard error."""
+    """Suppress MuJoCo's warnings during steps within a context; standard error is unchanged."""
     original_handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)
     try:
@@ -323,10 +334,10 @@ class ExplicitInertia:
 def extract_explicit_inertias(
     spec: mujoco.MjSpec,
 ) -> tuple[dict[str, str], dict[str, ExplicitInertia]]:
-    """Flaws and explicit inertias by body; inconsistent inertias in `spec` are replaced.
+    """Flaws of inconsistent inertias, and explicit inertias as in the file, both by body name.
 
-    The replacements let the model compile. Both are empty if the compiler computes all inertias
-    from geoms or balances them.
+    Inconsistent inertias in `spec` are replaced by 1 kg and 1 kg m^2, which lets the model compile.
+    Both results are empty if the compiler computes all inertias from geoms or balances them.
     """
     spec.compiler.boundmass = spec.compiler.boundinertia = MIN_COMPILED_MASS
     flaws: dict[str, str] = {}
@@ -367,7 +378,7 @@ def extract_explicit_inertias(
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> None:
-    """Replace the inertia of a body, with axes along the body's frame."""
+    """Replace the inertia of an editable body by `inertia`, about and along the body's frame."""
     central = inertia.central
     body.explicitinertial = True
     body.mass, body.ipos, body.iquat = inertia.mass, inertia.com, [1.0, 0.0, 0.0, 0.0]

@@ -1,9 +1,8 @@
 """Editable MuJoCo model of an MJCF file: checked, reduced to the mechanism, joints locked.
 
 MuJoCo's compiler resolves classes, frames, includes and inertias implied by geoms. A tree has
-inertia, gravity, friction and motors. Other passive forces of MuJoCo, above all springs, would
-make the simulated plant another robot than the identified robot: they are removed, with a
-diagnostic.
+inertia, gravity, friction and motors. Other passive forces of MuJoCo, above all springs, are
+removed with a diagnostic: the simulated plant is the identified robot.
 """
 
 from __future__ import annotations
@@ -52,7 +51,9 @@ reference positions."""
 
 
 def buffered_command_count(delay: float, timestep: float) -> int:
-    """Number of commands that a delayed actuator buffers, MuJoCo's `nsample`; 0 without delay.
+    """Commands that a delayed actuator buffers, MuJoCo's `nsample`: ceil(delay / timestep) + 2.
+
+    Zero without delay.
 
     Args:
         delay: Delay of the actuator [s].
@@ -95,7 +96,7 @@ def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]
 
 
 def mjcf_joint_travels(path: Path) -> dict[str, JointTravel]:
-    """Couplings of hinge and slide joints of an MJCF file, by name; ranges unbounded."""
+    """Mimic masters of hinge and slide joints of an MJCF file, by name; no ranges, no polynomials."""
     spec = parse_mjcf(path)
     couplings, _ = _remove_couplings(spec)
     followers = {
@@ -108,8 +109,10 @@ def mjcf_joint_travels(path: Path) -> dict[str, JointTravel]:
 def parse_mjcf(path: Path) -> mujoco.MjSpec:
     """Parse an MJCF file to an editable MuJoCo model; name unnamed bodies and joints.
 
+    Mocap bodies become static, and constraints to them are removed.
+
     Raises:
-        ModelError: MuJoCo rejects the file.
+        ModelError: MuJoCo rejects the file, it exceeds `check_mjcf_size`, or is not named *.xml.
     """
     check_mjcf_size(path)
     if path.suffix != ".xml":
@@ -147,7 +150,7 @@ def _set_total_mass(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _release_mocap(spec: mujoco.MjSpec) -> None:
-    """Remove constraints to mocap bodies, which act as motors; make mocap bodies static."""
+    """Remove body constraints to mocap bodies, which act as motors; make mocap bodies static."""
     mocap_bodies = {body.name for body in spec.bodies if body.mocap}
     for equality in list(spec.equalities):
         ends = {equality.name1, equality.name2}
@@ -158,7 +161,7 @@ def _release_mocap(spec: mujoco.MjSpec) -> None:
 
 
 def _name_everything(spec: mujoco.MjSpec) -> None:
-    """Name unnamed bodies and joints: names are optional in MJCF, but required here."""
+    """Name unnamed bodies and joints: body0, body1, ... and BODY_joint, made unique by numbers."""
     taken = {body.name for body in spec.bodies} | {joint.name for joint in spec.joints}
     for k, body in enumerate(spec.bodies):
         if not body.name:
@@ -178,7 +181,7 @@ def _name_everything(spec: mujoco.MjSpec) -> None:
 def _remove_unused_elements(spec: mujoco.MjSpec) -> None:
     """Remove actuators, keyframes, textures, height fields and sensors other than force and torque.
 
-    The mechanism remains; reserved memory sizes are reset.
+    Also removed are tuples, contact pairs and skins. Reserved memory sizes are reset.
     """
     for elements in (spec.actuators, spec.keys, spec.tuples, spec.pairs, spec.skins):
         for element in list(elements):
@@ -209,11 +212,11 @@ def lock_joints(
         path: Model file, for messages.
 
     Returns:
-        Diagnostics of followers locked off their couplings, and of removed tendons.
+        Diagnostics of `lock_positions`, and of removed tendons.
 
     Raises:
-        ModelError: A constraint between joints is not supported; MimicError for a mimic joint
-            whose master moves.
+        LoopError: An equality constraint closes a loop with joints that are not locked.
+        MimicError: A mimic joint and its master are both not locked.
         UnknownName: A joint to be locked is not in the model.
     """
     couplings, loops = _remove_couplings(spec)
@@ -244,7 +247,7 @@ def _check_loops(
     locked: JointLocks,
     path: Path,
 ) -> None:
-    """Raise LoopError for a kinematic loop, of `loops`, with joints that are not locked."""
+    """Raise LoopError for the first of `loops` (joints by constraint) with joints not locked."""
     for constraint, joints in loops.items():
         moving = {
             name: travels[name].rest_position
@@ -260,7 +263,8 @@ def _remove_couplings(
 ) -> tuple[_Couplings, dict[str, tuple[str, ...]]]:
     """Remove equality constraints from a model; return joint couplings and loops.
 
-    Couplings by mimic joint; joints along each loop by description of the constraint.
+    Couplings are by mimic joint; loops map a description of the constraint to the joints along it.
+    Loops are all active constraints other than a joint's first coupling; inactive ones are ignored.
     """
     couplings: _Couplings = {}
     loops: dict[str, tuple[str, ...]] = {}
@@ -287,10 +291,10 @@ def _remove_couplings(
 def _joint_coupling(
     spec: mujoco.MjSpec, equality: mujoco.MjsEquality
 ) -> tuple[str, str | None, Array] | None:
-    """Mimic joint, master and polynomial coefficients of an equality constraint.
+    """Mimic joint, master and polynomial coefficients (5,) of an equality constraint.
 
-    None if it does not couple two joints. A tendon of fixed length over two joints does:
-    c1 q1 + c2 q2 = length.
+    None if the constraint is no coupling. The master of a joint at a constant position is None. A
+    tendon of fixed length over two joints, c1 q1 + c2 q2 = length, couples the first to the second.
     """
     data = np.array(equality.data[:5])
     if equality.type == mujoco.mjtEq.mjEQ_JOINT:
@@ -313,7 +317,7 @@ def _joint_coupling(
 
 
 def _loop_joints(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]:
-    """Names of the joints along the kinematic loop that an equality constraint closes."""
+    """Joint names along the loop of an equality constraint, without carriers of both ends."""
     names = [name for name in (equality.name1, equality.name2) if name]
     if equality.type == mujoco.mjtEq.mjEQ_JOINT:
         return tuple(names)
@@ -341,7 +345,7 @@ def _loop_joints(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str
 
 
 def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, JointTravel]:
-    """Range and coupling of every joint of a compiled model, by name."""
+    """Range and coupling of every joint of a compiled model, by name; in absolute positions."""
     names = [model.joint(j).name for j in range(model.njnt)]
     zero = {
         name: float(model.qpos0[model.jnt_qposadr[j]]) for j, name in enumerate(names)
@@ -370,10 +374,10 @@ def _lock_joints_of_body(
     model: mujoco.MjModel,
     locked: dict[str, float],
 ) -> None:
-    """Remove a body's locked joints and set the body's pose at their positions [rad or m].
+    """Remove a body's locked joints and set the body's pose at the locked positions [rad or m].
 
-    The joints of a body act in series; those before a locked joint are expressed in the displaced
-    frame.
+    The joints of a body act in series; free joints before a locked joint are expressed in the
+    displaced frame.
     """
     compiled_body = model.body(body.name)
     X_PB = X_PB_zero = Transform(rotation_matrix(compiled_body.quat), compiled_body.pos)
@@ -410,7 +414,7 @@ def _lock_joints_of_body(
 
 
 def drop_tendons(spec: mujoco.MjSpec) -> tuple[Diagnostic, ...]:
-    """Remove all tendons from a model; return diagnostics of tendons that act on joints."""
+    """Remove all tendons; return a diagnostic of tendons with forces, inertia or limits."""
     names = []
     for number, tendon in enumerate(list(spec.tendons), start=1):
         parameters = (
@@ -436,7 +440,8 @@ def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ..
         path: Model file, for messages.
 
     Returns:
-        Diagnostics of removed forces, with the names of joints or bodies.
+        Diagnostics of removed forces, with the names of joints or bodies. Damping that is stated as
+        time constant and damping ratio of a spring is kept.
     """
     springs, nonlinear, compensated = list[str](), list[str](), list[str]()
     spring_damping = _spring_damping(spec, path)
@@ -469,7 +474,10 @@ def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ..
 
 
 def _spring_damping(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
-    """Damping that MuJoCo's compiler computes from time constant and damping ratio, by joint."""
+    """Damping of joints with `springdamper` (time constant, damping ratio), by joint.
+
+    As MuJoCo's compiler computes it [N m s/rad or N s/m].
+    """
     names = [joint.name for joint in spec.joints if np.all(joint.springdamper)]
     if not names:
         return {}

@@ -98,7 +98,7 @@ def read(file: ModelSource) -> UrdfModel:
 
 
 def _sum_of_distances(root: ET.Element) -> float:
-    """Sum of the distances from joint to joint [m]."""
+    """Sum of the lengths of all joint origins of a URDF [m]."""
     origins = (joint.find("origin") for joint in root.findall("joint"))
     return sum(
         math.hypot(*attribute_numbers(origin, "xyz", "0 0 0")) for origin in origins
@@ -110,9 +110,12 @@ def _links(
 ) -> tuple[tuple[ModelLink, ...], tuple[int, ...]]:
     """Links with inertias as stated in the file, and parent indices of the tree's bodies.
 
+    Links are in the order of Pinocchio's frames, carriers first. The parent index of a body is -1
+    for the bedplate.
+
     Args:
         root: Checked XML, with locked joints made fixed.
-        path: URDF file.
+        path: URDF file, whose own fixed joints define `fixed_carrier`.
     """
     joints = read_xml(path).findall("joint")
     parents = {
@@ -149,7 +152,7 @@ def _links(
 
 
 def _link_inertia(link: ET.Element) -> Inertia:
-    """Inertia of a link as stated in the file, about and along the link's frame."""
+    """Inertia of a link as stated in the file, about and along its frame; zero if not stated."""
     inertial = link.find("inertial")
     if inertial is None:
         return ZERO_INERTIA
@@ -202,7 +205,7 @@ def _link_flaw(link: ET.Element) -> str | None:
 
 
 def _mass_and_tensor(inertial: ET.Element) -> tuple[float, Array]:
-    """Mass, and inertia tensor along the axes of the inertial's origin, (3, 3)."""
+    """Mass [kg], and inertia tensor about and along the inertial's origin, (3, 3) [kg m^2]."""
     (mass,) = attribute_numbers(inertial.find("mass"), "value")
     central = np.empty((3, 3))
     for key, (a, b) in TENSOR_INDICES.items():
@@ -213,7 +216,14 @@ def _mass_and_tensor(inertial: ET.Element) -> tuple[float, Array]:
 
 
 def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
-    """Replace the inertial element of a link, with axes along the link's frame."""
+    """Replace the inertial element of a link, with axes along the link's frame.
+
+    A zero inertia removes the element.
+
+    Args:
+        link: Link element, changed in place.
+        inertia: Inertia about and along the link's frame.
+    """
     for old in link.findall("inertial"):
         link.remove(old)
     if inertia.pseudo.any():
@@ -229,6 +239,9 @@ def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
 
 def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
     """Joint j of a Pinocchio model as a joint of the tree.
+
+    Limits of zero (of both position limits) are unknown in URDF and become infinite, as are the
+    position limits of continuous joints.
 
     Args:
         model: Pinocchio model.
@@ -264,18 +277,23 @@ def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
 
 
 def _kind_and_axis(model: pin.Model, j: int) -> tuple[JointKind, np.ndarray]:
-    """Kind and axis of joint j, from Pinocchio's motion subspace."""
+    """Kind and unit axis (3,) in the body's frame of joint j, from Pinocchio's motion subspace."""
     linear, angular = np.split(np.ravel(model.joints[j].createData().S), 2)
     revolute = np.linalg.norm(angular) > 0.5
     return ("revolute", angular.copy()) if revolute else ("prismatic", linear.copy())
 
 
 def _inertia_of(inertia: pin.Inertia) -> Inertia:
-    """Inertia of a body from Pinocchio's inertia about the mass centre."""
+    """Inertia about the body frame's origin from Pinocchio's inertia about the mass centre."""
     return Inertia.about_centre(inertia.mass, inertia.lever, inertia.inertia)
 
 
 def _first_parser_error(stderr_text: str, exception_text: str) -> str:
-    """First error message of the parser, on one line."""
+    """First error message of the parser, on one line of at most 400 characters and a prefix.
+
+    Args:
+        stderr_text: Standard error of the parser, searched for "Error:".
+        exception_text: Text in place of a missing "Error:".
+    """
     reasons: list[str] = re.findall(r"Error:\s*(.+)", stderr_text) or [exception_text]
     return "not a valid URDF: " + " ".join(reasons[0].split())[:400]

@@ -1,9 +1,8 @@
 """XML of a URDF file: checked, with plain numbers, with locked joints made fixed.
 
 Faults that parsers ignore are found here: loops, unconnected links, floating and planar joints,
-misspelled elements. urdfdom drops an inertial with mass "3 " and reports it on standard error
-only; other parsers accept other texts. Texts that are no plain numbers are rejected, and numbers
-are rewritten in plain form, so that Pinocchio and MuJoCo read the same values.
+misspelled elements. Parsers differ in the numbers that they accept, as "3 ": texts that are no
+plain numbers are rejected, numbers are rewritten for Pinocchio and MuJoCo alike.
 """
 
 from __future__ import annotations
@@ -137,7 +136,7 @@ _NON_FINITE_WORDS = ("nan", "inf", "infinity")
 def checked_urdf_xml(
     file: ModelSource, *, keep_visuals: bool = False
 ) -> tuple[ET.Element, tuple[Diagnostic, ...]]:
-    """Links and joints of a URDF file, checked; locked joints are made fixed joints.
+    """Root element of a URDF file with links and joints, checked; locked joints become fixed.
 
     Args:
         file: Model file with options of reading; errors are those of `load_tree`.
@@ -156,9 +155,10 @@ def checked_urdf_xml(
 def _checked_xml(
     path: Path, weld_root: bool, keep_visuals: bool = False
 ) -> tuple[ET.Element, list[Diagnostic]]:
-    """Links and joints of a URDF file, checked to form one tree; with diagnostics.
+    """Root element of a URDF file with the links and joints, checked to form one tree.
 
-    Numbers are in plain form; unused elements and accepted faults are removed.
+    Numbers are in plain form; unused elements and accepted faults are removed, with diagnostics,
+    the second result. Errors are those of `load_tree`.
 
     Args:
         path: URDF file.
@@ -217,7 +217,7 @@ def _check_joint(joint: ET.Element) -> None:
 
 
 def _correct_faults(element: ET.Element) -> Iterator[Diagnostic]:
-    """Remove repeated origins and negative friction of an element; yield a diagnostic for each.
+    """Correct repeated origins and negative friction of an element; yield a diagnostic for each.
 
     Of several origins the first is kept, as by urdfdom; negative friction becomes zero.
     """
@@ -236,7 +236,7 @@ def _correct_faults(element: ET.Element) -> Iterator[Diagnostic]:
 
 
 def urdf_joint_travels(path: Path) -> dict[str, JointTravel]:
-    """Range and coupling of every moving joint of a URDF file, by name."""
+    """Range and mimic coupling of every moving joint of a URDF file, by name; no limits: inf."""
     root, _ = _checked_xml(path, weld_root=True)
     return _travels(root.findall("joint"))
 
@@ -278,8 +278,7 @@ def _fix_locked_joints(
 ) -> tuple[Diagnostic, ...]:
     """Make locked joints fixed joints at the locked positions.
 
-    Returns diagnostics of followers locked off their couplings. Joints without limits get zeros,
-    the mark of unknown limits.
+    Returns the diagnostics of `lock_positions`. Joints without limits get zeros for unknown limits.
     """
     locked, diagnostics = lock_positions(_travels(joints), lock, path.name)
     for joint in joints:
@@ -318,7 +317,7 @@ def _move_origin(joint: ET.Element, position: float) -> None:
 def _remove_unused_elements(
     element: ET.Element, owner: str, also: tuple[str, ...]
 ) -> Iterator[tuple[str, str]]:
-    """Remove unused child elements, recursively; yield unknown elements and attributes with owners.
+    """Remove unused child elements, recursively; yield unknown tags and attributes with owners.
 
     Args:
         element: Element, changed in place.
@@ -353,7 +352,7 @@ def _remove_unused_elements(
 def _carriers(
     links: list[ET.Element], joints: list[ET.Element]
 ) -> dict[str, ET.Element]:
-    """Joint that carries each link, by link name; the links must form one tree."""
+    """Joint that carries each link, by link name; a ModelError if the links form no single tree."""
     for what, elements in (("link", links), ("joint", joints)):
         names = [element.get("name", "") for element in elements]
         if "" in names:
@@ -463,7 +462,7 @@ def _plain_numbers(
         text: Text of the attribute.
         numbers: Required format.
         where: Description of the attribute, for messages.
-        allow_nan: True to return NaNs for texts like "nan".
+        allow_nan: True to return only "nan"s if some of the numbers is NaN or infinite.
 
     Raises:
         ModelError: Count, form or size of the numbers is wrong.

@@ -19,7 +19,11 @@ class Backlash(ModelErrorFamily):
     noisy = True
 
     def columns(self, point: Linearization) -> Array:
-        """Effects of position errors with the sign of the slow torque, (m, C, n)."""
+        """Effects of position errors with the sign of the quasi-static torque, (m, C, n) [N, N m].
+
+        The errors are 0.5 mrad or mm. The torque is that of the bodies below QUASI_STATIC_CUTOFF;
+        the sign is smooth within 2 % of the greatest torque.
+        """
         torque = point.quasi_static_part(point.forces.torque)
         side = np.tanh(torque / (0.02 * point.sizes.torque))
         return point.encoder_effects(5e-4 * point.quasi_static_part(side)[..., None])

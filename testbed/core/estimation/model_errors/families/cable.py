@@ -22,10 +22,10 @@ class Cable(FrameFamily):
         return super().applies(point) and point.tree.n > 1
 
     def columns(self, point: Linearization) -> Array:
-        """Effects of forces at the origins of the bodies, (m, C, 4 (n - 1)).
+        """Effects of forces at the origins of the bodies, (m, C, 4 (n - 1)) [N, N m].
 
-        At each body after the first: a constant force of 4 N along each axis, and a spring of 8 N/m
-        to the base.
+        At each body after the first: a constant force of 4 N along each axis of the bedplate, and a
+        spring of 8 N/m to the bedplate's origin. Moments of the wrench are about that origin.
         """
         pulls = []
         for j in range(1, point.tree.n):

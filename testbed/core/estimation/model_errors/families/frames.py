@@ -18,9 +18,10 @@ class Frames(FrameFamily):
     remedy = "calibrate the kinematics, and use that model file"
 
     def columns(self, point: Linearization) -> Array:
-        """Effects of frame offsets of 0.5 mm and rotations of 0.2 degrees, (m, C, 5 n).
+        """Effects of frame offsets and rotations, (m, C, 5 n) [N, N m].
 
-        Before each joint: three offsets, and rotations about the two axes normal to the joint's.
+        Before each joint: offsets of 0.5 mm along the three axes of the frame at q = 0, and
+        rotations of 0.2 degrees about two axes normal to the joint axis.
         """
         n = point.tree.n
         size = np.tile([5e-4] * 3 + [np.deg2rad(0.2)] * 2, n)

@@ -19,7 +19,11 @@ class FrictionLaw(JointFamily):
     is_term = True
 
     def torques(self, point: Linearization) -> Array:
-        """Stribeck terms, absolute speed and signed square of speed, (m, n, 4) [N m or N]."""
+        """Stribeck terms, absolute speed and signed square of speed, (m, n, 4) [N m or N].
+
+        Two Stribeck terms fall exponentially with 3 % and 13 % of the greatest speed. Factor: 3 %
+        of the joint's greatest torque.
+        """
         speed = np.abs(point.motion.qd) / point.sizes.speed
         laws = [
             point.smooth_sign * np.exp(-speed / 0.03),

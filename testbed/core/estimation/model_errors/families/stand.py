@@ -19,9 +19,10 @@ class Stand(FrameFamily):
     noisy = True
 
     def columns(self, point: Linearization) -> Array:
-        """Effects of a base on springs in six directions, (m, C, 6) or (m, C, 12).
+        """Effects of a base on springs in six directions, (m, C, 6) or (m, C, 12) [N, N m].
 
-        The base follows the slow wrench. For the wrench method, six more columns describe a plate
+        The base is displaced in proportion to the quasi-static wrench on the robot, by 1 mm or mrad
+        at the greatest force or moment. For the wrench method, six more columns describe a plate
         whose axes move with the base.
         """
         wrench = point.quasi_static_part(point.forces.wrench)

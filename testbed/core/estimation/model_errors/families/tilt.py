@@ -26,7 +26,11 @@ class BaseTilt(FrameFamily):
         return [(f"tilt/{axis}", "deg", 1.0) for axis in "xyz"]
 
     def columns(self, point: Linearization) -> Array:
-        """Effects of rotating the base by one degree, in axes of the plate, (m, C, 3)."""
+        """Effects of rotating the base by one degree, in axes of the plate, (m, C, 3) [N, N m].
+
+        Rotations are about the bedplate's axes. For the wrench method, the plate turns with the
+        base.
+        """
         effects = point.slopes.position[:, :, -3:]
         if point.method == "wrench":
             force, moment = np.split(point.forces.wrench, 2, axis=1)

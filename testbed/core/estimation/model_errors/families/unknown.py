@@ -57,7 +57,12 @@ class _UnknownChannels(ModelErrorFamily):
     remedy = "repeat the motion in periods: what repeats is no noise (`testbed view` shows it)"
 
     def channel_columns(self, point: Linearization, features: Array) -> Array:
-        """Scaled features, (m, k), as separate columns for every channel, (m, C, C k)."""
+        """Features as separate columns of every channel, (m, C, C k) [N, N m].
+
+        Args:
+            point: Motion and predicted forces.
+            features: Features, (m, k); one is 3 % of the channel's greatest magnitude.
+        """
         is_wrench = point.method == "wrench"
         size = point.sizes.wrench if is_wrench else point.sizes.torque
         columns = 0.03 * size[:, None, None] * np.eye(len(size))[..., None] * np.ones(1)
