@@ -182,7 +182,7 @@ def with_plate_zero(draft: MappingDraft, best: Explanation) -> MappingDraft:
     )
     if zero is None:
         return draft
-    note = "solved: where it is clear; of Fz, Mx and My, what is of weight, by the file's masses"
+    note = "solved: by the data; the part of Fz, Mx and My due to weight by the file's masses"
     return with_tare(draft, list(zero.values), note)
 
 

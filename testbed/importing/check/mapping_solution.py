@@ -354,7 +354,7 @@ def _with_remedies(draft: MappingDraft, assessment: Assessment) -> MappingDraft:
         if each.kind == "torque_size":  # corrected by `_with_torque_scale`
             continue
         note = f"solved: {percentage(each.after)} of {each.channel} is unexplained"
-        note += f", {percentage(each.before)} without" * (each.before > each.after)
+        note += f", {percentage(each.before)} otherwise" * (each.before > each.after)
         if assessment.equivalent_explanations:
             note += f"; equally explained by {', '.join(assessment.equivalent_explanations)}"
         for table, key, value in each.lines:
