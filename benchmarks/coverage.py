@@ -180,7 +180,7 @@ def seen(study: Study, seed: int, seconds: float) -> Seen:
     families = tuple(each.family for each in found.model_errors)
     causes = (families,) if families else ()
     errors = sum(each.level == "error" for each in found.diagnostics)
-    steps = found.noise is not None and found.noise.steps_matter
+    steps = found.noise is not None and found.noise.quantization_matters
     return Seen(
         found.names, (found.values - truth) / found.sigma, found.minimal.count, causes,
         found.has_errors, steps, errors > 0,

@@ -24,7 +24,10 @@ from testbed.applications.drives.friction_curves import (
     offered,
     term_selection_matrices,
 )
-from testbed.applications.drives.joint_regression import fit_joint_regressions, torques_beside
+from testbed.applications.drives.joint_regression import (
+    fit_joint_regressions,
+    torque_regression_data,
+)
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
@@ -76,7 +79,7 @@ def trial(loss: float, seconds: float, seed: int) -> dict[str, Any]:
     plain = replace(asked.identification, terms=("coulomb", "viscous"))
     bodies = tb.identify(tree, seen, settings=plain, threads=1)
     problem = Problem.from_recording(tree, seen, "torque", plain, threads=1, knows_load=True)
-    torques = torques_beside(problem, bodies, offered(plain.laws, seen.signals))
+    torques = torque_regression_data(problem, bodies, offered(plain.laws, seen.signals))
 
     def drives_of(choices: Mapping[int, JointTermChoice]) -> list[DriveEstimate]:
         found = fit_joint_regressions(torques, bodies, term_selection_matrices(torques, choices))

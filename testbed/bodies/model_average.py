@@ -77,7 +77,7 @@ class ModelAverage:
     prior_error: float
     by_rows: Mapping[RowProducts, Array] = field(default_factory=dict)
 
-    def values_of(self, rows: RowProducts) -> Array:
+    def values_fitted_to(self, rows: RowProducts) -> Array:
         """Values of the unknowns fitted to other rows, with the same weights and noise, (p,).
 
         Fits in `by_rows` are not computed again.

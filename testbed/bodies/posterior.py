@@ -238,7 +238,7 @@ def compute_posterior(
         file = file_values(problem, prior)
         fits: dict[str, Callable[[RowProducts], Array]] = {
             REFITTED: lambda rows: file_with_fitted_terms(rows, linear),
-            POSTERIOR: fit.values_of if result is fit else _least_squares_values,
+            POSTERIOR: fit.values_fitted_to if result is fit else _least_squares_values,
         }
         if estimate is not None:
             fits[LEAST_SQUARES] = _least_squares_values

@@ -225,7 +225,7 @@ def _reject_design_options(options: Mapping[str, Path | None]) -> None:
 def _print_motion_proof(
     file: Path, settings: list[str], *, everything: bool, as_json: bool
 ) -> None:
-    """Print the margins of a motion to all limits and exit, with code 1 if a limit is exceeded.
+    """Print the proven margins of a motion to its limits and exit.
 
     Args:
         file: Motion file.

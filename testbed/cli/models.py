@@ -313,7 +313,7 @@ def list_(kind: Kind = None) -> None:
 
 
 def _print_kind(entry: KindDescription, key: str) -> None:
-    """Print summary, keys with defaults, source of the size, and example of an error or effect.
+    """Print summary, keys with defaults, source and example of a simulated error or effect.
 
     Args:
         entry: Description of the kind of sensor error or plant effect.

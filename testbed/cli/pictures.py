@@ -343,9 +343,9 @@ def _load_run(path: Path, reading: ReadingOptions, *, consistent: bool = False) 
 
 
 def _similar_run_hint(path: Path) -> str:
-    """Hint at up to three folders and recordings whose names begin with a missing path's name.
+    """Hint at runs whose names begin with the name of a missing path.
 
-    Empty if there are none. The default name of a run folder ends in a hash.
+    At most three folders or recordings, sorted by name; "" if there are none. The default name of a run folder ends in a hash.
     """
     if not path.name or not path.parent.is_dir():
         return ""

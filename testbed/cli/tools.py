@@ -97,7 +97,7 @@ def _print_static_tool(
     *,
     degrees: bool,
 ) -> None:
-    """Identify the tool beyond a force sensor from a table of static poses, and print it.
+    """Identify the tool beyond a force sensor from static poses, and print the estimate.
 
     Args:
         table: File with a row per pose: joint positions and the sensor's wrench.

@@ -313,7 +313,7 @@ def column_groups(
     # joints whose columns differ in other words too: rail_force, j1_torque
     all_pairs = [pair for pairs in by_model.values() for pair in pairs]
     for pairs in (*by_model.values(), all_pairs):
-        if pairs and (group := _unique_group(pairs, matched=True)):
+        if pairs and (group := _group_of_distinct_joints(pairs, matched=True)):
             yield group.reordered_as(
                 [label for label in joints if label in group.names]
             )
@@ -321,7 +321,7 @@ def column_groups(
     if len(joints) == len(columns) == 1 and not by_model:
         yield ColumnGroup(tuple(columns), tuple(joints), True)
     for pairs in by_template.values():
-        if group := _unique_group(pairs):
+        if group := _group_of_distinct_joints(pairs):
             ordered = [
                 label
                 for _, label in sorted(
@@ -337,7 +337,7 @@ def column_groups(
                 by_prefix.setdefault(match[1], []).append(pair)
         for same_prefix in by_prefix.values():
             if 1 < len(same_prefix) < len(pairs) and (
-                group := _unique_group(same_prefix)
+                group := _group_of_distinct_joints(same_prefix)
             ):
                 yield group
 
@@ -359,7 +359,7 @@ def as_joint_torque(column: ColumnName, joints: Sequence[str]) -> ColumnName:
     )
 
 
-def _unique_group(
+def _group_of_distinct_joints(
     pairs: Sequence[tuple[ColumnName, str]], *, matched: bool = False
 ) -> ColumnGroup | None:
     """Group of columns and joint names; None if a joint occurs twice."""

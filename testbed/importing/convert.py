@@ -49,7 +49,7 @@ from testbed.importing.resampling import (
     spline_to_common_rows,
 )
 from testbed.importing.signal_maps import (
-    check_units,
+    check_stated_units,
     continuous_quaternions,
     torques_with_sign,
 )
@@ -234,7 +234,7 @@ def _recording_columns(
     columns: dict[str, Array] = {"time": grid - origin}
     clocks: dict[str, ClockReport] = {}
     for label, stream in streams.items():
-        check_units(label, stream.table, stream.file)
+        check_stated_units(label, stream.table, stream.file)
         signal, name = samples[label], stream.table.source
         terms = signal_columns(
             mapping,

@@ -126,16 +126,20 @@ def find_signals(
         source = next(source for group, source in groups if group is best)
         signals[kind] = _signal(source, best, joints, signals)
         count = count or len(best.columns)
-    for kind, source, group, evidence in _signals_by_data(signals, sources, joints):
+    for kind, source, group, evidence in _signals_without_names(
+        signals, sources, joints
+    ):
         signals[kind] = replace(
             _signal(source, group, joints, signals), column_evidence=evidence
         )
     return _with_derivative_units(
-        _units_by_size(_with_raw_loads(_clock_by_rows(signals)))
+        _with_position_units_by_size(
+            _with_raw_loads(_with_clock_of_position_rows(signals))
+        )
     )
 
 
-def _clock_by_rows(
+def _with_clock_of_position_rows(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
     """Signals with the clock of the rows that hold positions, if other rows do not."""
@@ -199,7 +203,7 @@ def _signal(
     )
 
 
-def _signals_by_data(
+def _signals_without_names(
     signals: Mapping[JointQuantity, LikelySignal],
     sources: Sequence[LikelySource],
     joints: Sequence[str],
@@ -374,7 +378,7 @@ def _with_units(signal: LikelySignal, units: Sequence[str | None]) -> LikelySign
     )
 
 
-def _units_by_size(
+def _with_position_units_by_size(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
     """Signals with the unit of positions by their size: degrees, or counts of a servo.

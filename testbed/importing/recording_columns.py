@@ -22,9 +22,9 @@ from testbed.importing.mapping import (
 )
 from testbed.importing.signal_maps import (
     base_pose_from_columns,
-    effort_kinds,
     joint_kinds,
     joint_signal,
+    torque_quantities,
     wrench_from_columns,
 )
 
@@ -78,7 +78,7 @@ def recording_metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]
             name: {"link": each.link or name} for name, each in mapping.sensors.items()
         },
         "geometry": joint_kinds(mapping.position, mapping.joints),
-        "effort": effort_kinds(mapping),
+        "effort": torque_quantities(mapping),
         "gravity": mapping.gravity,
     }
     plates = [

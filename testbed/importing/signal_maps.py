@@ -198,7 +198,7 @@ EFFORT_OF_UNIT = {"pwm": "pwm", "A": "current", "mA": "current"}
 """Physical quantity behind a torque, by unit."""
 
 
-def effort_kinds(mapping: Mapping) -> dict[str, str]:
+def torque_quantities(mapping: Mapping) -> dict[str, str]:
     """Measured quantity of each joint's torque: "current", "pwm", "motor" or "torque".
 
     The unit states current and pwm; otherwise the side of the gear decides between torques of motor
@@ -219,7 +219,7 @@ def effort_kinds(mapping: Mapping) -> dict[str, str]:
     }
 
 
-def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
+def check_stated_units(label: str, table: AnyTable, file: ForeignTable) -> None:
     """Refuse a mapping whose units differ from the units that the file states.
 
     Columns that `gain` or the matrix of a wrench converts are not compared.

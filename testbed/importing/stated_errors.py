@@ -9,7 +9,7 @@ from testbed.core.robot.inertia import ZERO_INERTIA
 from testbed.core.robot.tree import Joint, Tree
 from testbed.importing.foreign_table import is_length_unit
 from testbed.importing.mapping import Mapping
-from testbed.sensors.catalogue import errors_of
+from testbed.sensors.catalogue import coefficients_by_error
 from testbed.sensors.corrected import CorrectedSource
 
 
@@ -28,7 +28,7 @@ def remove_stated_errors(mapping: Mapping, recording: Recording) -> Recording:
     joints = tree_without_geometry(mapping)
     values = {
         error: np.array(coefficients)
-        for error, coefficients in errors_of(joints, mapping.errors).items()
+        for error, coefficients in coefficients_by_error(joints, mapping.errors).items()
     }
     corrected = CorrectedSource(recording, values, joints)
     return corrected.part(0, corrected.samples)

@@ -95,7 +95,7 @@ def term_by_name(name: str) -> str:
     return known[name]
 
 
-def errors_of(
+def coefficients_by_error(
     tree: Tree, values: Mapping[str, float]
 ) -> Mapping[type[SystematicError], list[float]]:
     """Values of the coefficients by sensor error, neutral where not given.

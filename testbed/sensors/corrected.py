@@ -10,7 +10,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import errors_of, estimable_errors
+from testbed.sensors.catalogue import coefficients_by_error, estimable_errors
 from testbed.sensors.systematic_error import SystematicError
 
 
@@ -73,7 +73,7 @@ def corrected(source: Source, tree: Tree, coefficients: Mapping[str, float]) -> 
     """
     persistent = {
         error: np.array(values)
-        for error, values in errors_of(tree, coefficients).items()
+        for error, values in coefficients_by_error(tree, coefficients).items()
         if not error.of_one_recording
     }
     return CorrectedSource(source, persistent, tree) if persistent else source

@@ -353,7 +353,7 @@ class ClockError(SystematicError):
         )
 
 
-def of_channels(
+def channel_coefficients(
     prefix: str, units: Sequence[str] = WRENCH_UNITS
 ) -> tuple[Coefficient, ...]:
     """Coefficients of the plate's six channels.

@@ -20,9 +20,10 @@ MAX_LISTED_CONSTRAINTS = 6
 
 
 def consistent_tables(consistent: Consistent) -> list[Table]:
-    """Tables of the standard parameters of all links, and of the joint terms.
+    """Table of standard parameters of all links, and table of joint terms.
 
-    The second table is omitted without joint terms.
+    The first has a row per link and parameter: value of the model file, estimate with sigma, and
+    share of the prior variance that the data remove. Without joint terms the second is omitted.
 
     Args:
         consistent: Bodies, friction and rotors.
@@ -58,8 +59,8 @@ def _body_rows(
 
     Args:
         links: Labels of the links.
-        names: Names of a link's parameters.
-        cells: Remaining cells of each row, link by link.
+        names: Names of a link's parameters, the same for all links.
+        cells: Cells after link and parameter of each row, link by link.
     """
     pairs = product(links, names)
     return [
@@ -71,7 +72,8 @@ def _body_rows(
 def sampled_robots_table(samples: RobotSamples) -> Table:
     """Table of means and standard deviations of sampled robots, by link and parameter.
 
-    The last column is the source of a parameter: data, model file or both.
+    The last columns are the share of the prior variance that the data remove, and the source of a
+    parameter by this share: data, model file or both.
 
     Args:
         samples: Sampled robots.
@@ -97,6 +99,8 @@ def sampled_robots_table(samples: RobotSamples) -> Table:
 def _parameter_source(share: float) -> str:
     """Source of a parameter by its data share: "data", "both" or "model file".
 
+    "data" from `MIN_DETERMINED_SHARE` (0.9) on, "both" above one minus this share (0.1).
+
     Args:
         share: Share of the prior variance that the data remove.
     """
@@ -106,7 +110,11 @@ def _parameter_source(share: float) -> str:
 
 
 def consistent_lines(consistent: Consistent) -> list[str]:
-    """Sentences on eigenvalues, changes of estimates, active constraints and prior.
+    """Sentences on physical consistency, changes of the estimates, active constraints and prior.
+
+    These are the body with the smallest ratio of least to greatest eigenvalue of the pseudo-inertia
+    (if any body has mass), the distance of each estimate from the consistent bodies in standard
+    deviations, at most `MAX_LISTED_CONSTRAINTS` active constraints, and the prior's relative error.
 
     Args:
         consistent: Bodies, friction and rotors.
@@ -167,7 +175,15 @@ def bodies_section(consistent: Consistent) -> Section:
 
 
 def _link_row(consistent: Consistent, k: int) -> list[str]:
-    """Table row of link k: prior mass, mass, centre of mass, mean data share."""
+    """Table row of a link: prior mass, mass with sigma, centre, mean data share.
+
+    The centre of mass is in the body frame [m]; zero for a massless link. The share is the mean of
+    the link's ten parameters.
+
+    Args:
+        consistent: Consistent bodies.
+        k: Index of the link.
+    """
     mass = consistent.standard[k, 0]
     centre = consistent.standard[k, 1:4] / mass if mass else np.zeros(3)
     return [

@@ -73,7 +73,7 @@ class Picture(Figure):
 
 
 def draw(panel: Panel, width: float = FIGURE_WIDTH) -> Picture:
-    """Draw a panel: main plot and plots below, on a shared horizontal axis.
+    """Draw a panel: main plot above lower plots, with a shared horizontal axis.
 
     Args:
         panel: Panel to draw.
@@ -103,7 +103,13 @@ def draw(panel: Panel, width: float = FIGURE_WIDTH) -> Picture:
 
 
 def _draw_curves(axis: Axes, panel: Panel, curves: Curves) -> None:
-    """Draw curves with bands and bars; the lowest line is the widest."""
+    """Draw curves with bands and error bars; earlier kinds of `COLOURS` are wider and below.
+
+    Args:
+        axis: Axes of the plot.
+        panel: Panel with bands, bars, and kinds drawn as points.
+        curves: Curves of the plot, by kind.
+    """
     kinds = [kind for kind in COLOURS if kind in curves]
     for rank, kind in enumerate(reversed(kinds)):
         (x, y), colour = curves[kind], COLOURS[kind]
@@ -128,7 +134,15 @@ def _draw_curves(axis: Axes, panel: Panel, curves: Curves) -> None:
 
 
 def _set_scales(axis: Axes, panel: Panel, curves: Curves) -> None:
-    """Set scales, limits and tick labels of both axes."""
+    """Set scales, limits, ticks and reference line of a plot.
+
+    Logarithmic axes need a positive value. Row names replace the vertical axis, the first on top.
+
+    Args:
+        axis: Axes of the plot.
+        panel: Panel with the settings.
+        curves: Curves of the plot: those of the panel or of a lower plot.
+    """
     axis.margins(x=0.02)
     axis.locator_params(axis="x", nbins=5)
     axis.locator_params(axis="y", nbins=5 if curves is panel.curves else 3)
@@ -161,7 +175,7 @@ def _set_scales(axis: Axes, panel: Panel, curves: Curves) -> None:
 
 
 def svg(panel: Panel) -> str:
-    """SVG element of a panel, with colours as CSS variables.
+    """SVG element of a panel for HTML pages; colours are CSS variables named by kind.
 
     Args:
         panel: Panel to draw.

@@ -31,7 +31,7 @@ DRIVES_TITLE = "Drives compared with the force plate"
 
 
 def drive_table(drives: Sequence[DriveEstimate]) -> Table:
-    """Table of torque constant, joint terms and residual of every joint.
+    """Table of torque constant, joint terms with sigma, and rms residual of every joint.
 
     Args:
         drives: Estimate of each joint's drive.
@@ -93,10 +93,10 @@ def replay_error_lines(
 
 
 def drive_delay_line(offset: TimeOffset) -> str:
-    """Sentence with the delay of the drives behind their commands, and its sigma.
+    """Sentence with the delay of the drives behind their commands, and its sigma [ms].
 
     Args:
-        offset: Time offset of the commands relative to the motion.
+        offset: Time offset of the commands relative to the motion; negative for early commands.
     """
     return (
         f"delay of the drives: {-1e3 * offset.delay:.3g} +- {1e3 * offset.sigma:.2g} ms"
@@ -104,9 +104,10 @@ def drive_delay_line(offset: TimeOffset) -> str:
 
 
 def drive_lines(drives: DriveIdentification) -> list[str]:
-    """Sentences on the selected joint terms, and on agreement of plate and torques.
+    """Sentences on joint terms selected by cross-validation, and on agreement of plate and torques.
 
-    The agreement is stated only without diagnostics.
+    Joints without such a selection are left out. The agreement, with the p-value of the test, is
+    stated only if there are no diagnostics.
 
     Args:
         drives: Drives compared with the plate.
@@ -124,10 +125,11 @@ def drive_lines(drives: DriveIdentification) -> list[str]:
 
 
 def _choice_text(choice: JointTermChoice) -> str:
-    """Text of a selection of joint terms, with gains in standard errors.
+    """Text of a joint's laws in the order of selection, with gains in standard errors.
 
-    For example: Coulomb and viscous, then stribeck@0.08 (better by 5.1 standard errors); next would
-    be ..., by 0.4.
+    Laws of every joint come first, and the best rejected law last. For example:
+    Coulomb and viscous, then stribeck@0.08 (better by 5.1 standard errors); next would be ..., by
+    0.4.
     """
     gain_text = "better by {:.1f} standard errors"
     added_terms = [
@@ -145,7 +147,9 @@ def _choice_text(choice: JointTermChoice) -> str:
 
 
 def drive_section(drives: DriveIdentification) -> Section:
-    """Section with torque constants, error bars and joint terms.
+    """Section with a panel of torque constants less one [%], and the table of drives.
+
+    Error bars are `BAND_SIGMAS` standard deviations to either side.
 
     Args:
         drives: Drives compared with the plate.
@@ -182,10 +186,15 @@ def drive_section(drives: DriveIdentification) -> Section:
 
 
 def curve_lines(curve: FrictionCurve) -> tuple[Array, Array, Array]:
-    """Nodes, torque and sigma of a friction curve, separated by nan at zero velocity.
+    """Speeds, torques and sigmas of a friction curve, with nan between negative and other speeds.
+
+    Plotted lines are thus interrupted at the jump of friction at zero velocity.
 
     Args:
-        curve: Friction curve of one joint.
+        curve: Friction curve of one joint, with m nodes.
+
+    Returns:
+        Three arrays, (m + 1,) each: speeds [rad/s or m/s], torques and sigmas [N m or N].
     """
     split = int(np.searchsorted(curve.speed, 0.0))
     parts = (curve.speed, curve.torque, curve.sigma)

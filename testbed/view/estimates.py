@@ -35,8 +35,9 @@ def parameter_tables(
 ) -> Iterator[list[Table]]:
     """Layouts of the table of parameters by all methods, from wide to narrow.
 
-    A layout is a list of tables of value and sigma, with the truth where known. The parameters are
-    sorted by their influence on the predicted signals.
+    In this order: one table with 1.061 +- 0.001, one with 1.061(1) and no units, a table per method.
+    Columns are value with sigma and, for a known truth, the error in sigmas. The parameters are
+    sorted by decreasing influence on the predicted signals.
 
     Args:
         estimates: Estimates from one recording, one per method.
@@ -60,11 +61,11 @@ def _parameter_table(
     *,
     short: bool,
 ) -> Table:
-    """Table of the parameters by some methods.
+    """Table of parameters (rows): unit, truth, value and error in sigmas by method.
 
     Args:
         estimates: Estimates, one per method.
-        names: Names of the rows; names in no estimate are skipped.
+        names: Names of the rows in order; names in no estimate are skipped.
         truths: True values by name; {} if unknown.
         title: Title of the table.
         short: True for 1.0610(9) instead of 1.0610 +- 0.0009, and for no units.
@@ -99,7 +100,8 @@ def _parameter_cells(
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Texts of the values, and of the normalised errors, of an estimate by name.
 
-    Normalised errors exist for parameters with known truth and finite sigma.
+    Normalised errors, (value - truth) / sigma, exist for parameters with known truth and finite
+    sigma; zero where sigma is zero.
 
     Args:
         estimate: The estimate.
@@ -119,7 +121,9 @@ def _parameter_cells(
 
 
 def fit_quality_lines(estimates: Iterable[Estimate]) -> list[str]:
-    """Lines with number of unknowns, condition number, noise and residuals of each estimate.
+    """Lines with number of unknowns, condition number, noise, and rms residual of each channel.
+
+    Lines with the coefficients of sensor errors follow for each estimate.
 
     Args:
         estimates: Estimates from one recording.
@@ -144,7 +148,8 @@ def fit_quality_lines(estimates: Iterable[Estimate]) -> list[str]:
 def _sensor_error_lines(estimate: Estimate) -> list[str]:
     """Lines with the estimated coefficients of sensor errors, one per kind.
 
-    A last line warns of systematic errors that the standard deviations do not include.
+    If the estimate has diagnostics of level "error", a last line warns that the standard deviations
+    do not include these errors.
     """
     kinds: dict[str, list[str]] = {}
     for each in estimate.nuisances:
@@ -161,9 +166,10 @@ def _sensor_error_lines(estimate: Estimate) -> list[str]:
 
 
 def _noise_text(estimate: Estimate) -> str:
-    """Text with correlation time of the noise and bootstrap factor of the sigmas.
+    """Text with the noise's longest correlation time and the bootstrap factor of the sigmas.
 
-    "" without a noise model.
+    Constants that were estimated, and parameters that assume a zero plate offset, are named. ""
+    without a noise model.
     """
     noise = estimate.noise
     if noise is None:
@@ -184,7 +190,7 @@ def _noise_text(estimate: Estimate) -> str:
 
 
 def choice_lines(estimates: Iterable[Estimate]) -> Iterator[str]:
-    """Lines on the joint terms selected by cross-validation, for all estimates with a selection.
+    """Yield lines on the joint terms selected by cross-validation, for estimates with a selection.
 
     Args:
         estimates: Estimates from one recording.
@@ -197,7 +203,11 @@ def choice_lines(estimates: Iterable[Estimate]) -> Iterator[str]:
 
 
 def _selection_lines(choice: TermChoice) -> Iterator[str]:
-    """Lines of one selection: test residuals, gain of each added term, next best term."""
+    """Yield the lines of one forward selection of joint terms.
+
+    These are rms test residuals with the default terms, relative residual and gain in standard
+    errors of each added term, gain of the best rejected term, and test residuals with all terms.
+    """
     first, *added_steps = choice.growth.steps
     yield f"terms, by {choice.parts}-fold cross-validation: {_residuals_text(choice.before)}"
     previous = first.residual
@@ -212,7 +222,10 @@ def _selection_lines(choice: TermChoice) -> Iterator[str]:
 
 
 def _residuals_text(residuals: TestResiduals) -> str:
-    """Text with the rms test residuals, overall and by channel."""
+    """Text with the rms test residuals by channel, and overall with its unit.
+
+    Channels of different units (N and N m) have an overall value only if all units agree.
+    """
     units = set(residuals.units)
     overall = f"rms {residuals.rms:.3f} {units.pop()} (" if len(units) == 1 else "rms ("
     pairs = zip(residuals.channels, residuals.residual, strict=True)
@@ -220,11 +233,14 @@ def _residuals_text(residuals: TestResiduals) -> str:
 
 
 def payload_table(payload: PayloadEstimate, title: str = "") -> Table:
-    """Table of a payload's ten parameters; parameters identifiable only in combination are marked.
+    """Table of a payload's ten inertial parameters with sigma and unit.
+
+    Rows m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about and along the frame of the carrying link;
+    "only in combination" replaces values that are not identifiable alone.
 
     Args:
         payload: The payload.
-        title: Title of the table; default the link that carries the payload.
+        title: Title of the table; default a title with the joint that moves the payload.
     """
     numbers = numbers_with_sigma(payload.values, payload.sigma, short=True)
     values = [
@@ -252,6 +268,8 @@ def torque_scales_table(scales: TorqueScales) -> Table:
 def payload_lines(payload: PayloadEstimate) -> list[str]:
     """Sentences on the number of identifiable parameters and the centre of mass of a payload.
 
+    The centre, in the frame of the carrying link, is left out if the estimate has none.
+
     Args:
         payload: The payload.
     """
@@ -269,7 +287,8 @@ def payload_lines(payload: PayloadEstimate) -> list[str]:
 def tool_lines(tool: ToolEstimate) -> list[str]:
     """Sentences on a tool identified in static poses: mass, gravity, centre, sensor zeros.
 
-    Quantities that are not identifiable are omitted.
+    Gravity is in the base frame, the other vectors in the sensor's frame. Quantities in
+    `unidentifiable` are omitted; number of poses and rms residuals come last.
 
     Args:
         tool: The tool.
@@ -321,7 +340,11 @@ def sensor_error_tables(run: Run) -> list[Table]:
 
 
 def _estimate_tables(estimate: Estimate) -> Iterator[Table]:
-    """Tables of one estimate: sensor errors, model errors, repeatable residuals."""
+    """Yield the tables of one estimate: sensor errors, model errors, repeatable residuals.
+
+    Each is left out if the estimate has none: coefficients of sensor errors with sigma; detected
+    model errors; rms and share of the residual that repeats with the motion, by channel.
+    """
     if estimate.nuisances:
         rows = [
             [
@@ -365,7 +388,10 @@ def _probability_text(chance: float) -> str:
 
 
 def _model_error_row(estimate: Estimate, error: ModelErrorEstimate) -> list[str]:
-    """Table row of a model error, with its effect on the most affected channel."""
+    """Table row of a model error: gain, rms and share in a channel, treatment, coefficient.
+
+    The channel is that with the largest share of the error in its residual.
+    """
     channel = int(np.argmax(np.nan_to_num(error.share)))
     return [
         error.label,
@@ -379,7 +405,9 @@ def _model_error_row(estimate: Estimate, error: ModelErrorEstimate) -> list[str]
 
 
 def plate_matrix_table(plate: Calibration) -> Table:
-    """Table of the matrix of a calibrated force plate, with sigma where estimated.
+    """Table of a plate's 6 x 6 matrix from wrench components (columns) to channels (rows).
+
+    Estimated elements have a sigma; given elements are exact.
 
     Args:
         plate: The calibration.
@@ -398,7 +426,7 @@ def plate_matrix_table(plate: Calibration) -> Table:
 
 
 def plate_coefficient_lines(plate: Calibration) -> list[str]:
-    """Lines with the other coefficients of a force plate's calibration, one per kind.
+    """Lines with the coefficients of a plate's calibration except the matrix, one line per kind.
 
     Args:
         plate: The calibration.

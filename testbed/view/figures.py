@@ -27,7 +27,7 @@ class Panel:
 
     Attributes:
         title: Quantity with its unit.
-        curves: Curves by kind: "measured", "wrench" or "torque".
+        curves: Curves (x, y), (M,) each, by kind: "measured", "wrench" or "torque".
         x_label: Quantity on the horizontal axis, with its unit.
         log_scale: True for logarithmic axes; with named rows only the horizontal axis.
         points: Kinds drawn as points.
@@ -64,6 +64,8 @@ class Panel:
 def subsampled_curve(x: Array, y: Array, max_points: int = 1000) -> tuple[Array, Array]:
     """Points of a curve at equal index steps, at most `max_points` points.
 
+    The step is the smallest possible; the first point is included.
+
     Args:
         x: Horizontal coordinates, (M,).
         y: Vertical coordinates, (M,).
@@ -74,9 +76,9 @@ def subsampled_curve(x: Array, y: Array, max_points: int = 1000) -> tuple[Array,
 
 
 def enclosing_decades(values: Array) -> tuple[float, float]:
-    """Powers of ten that enclose all positive finite values.
+    """Lower and upper power of ten that enclose all positive finite values.
 
-    (0.1, 1) without such values.
+    The range is at least one decade; (0.1, 1) if no value is positive and finite.
     """
     powers = np.log10(values[np.isfinite(values) & (values > 0)])
     if not powers.size:
@@ -97,13 +99,16 @@ def named_panel(
 ) -> Panel:
     """Panel with one row per name, and one point per kind in every row.
 
+    Points of a row are `POINT_SPACING` rows apart. The horizontal axis covers values, bars and
+    reference line: whole decades, or the range with a margin of 4 %.
+
     Args:
         title: Title of the panel.
         names: Labels of the rows, (p,).
-        values: Values by kind, (p,); nan without a point.
+        values: Values by kind, (p,); nan is not drawn.
         x_label: Quantity and unit of the values.
         bars: Left and right ends of error bars by kind, (p,) each.
-        line: Reference value.
+        line: Reference value, drawn as a vertical line; None for no line.
         log: True for a logarithmic horizontal axis.
     """
     bars = bars or {}
@@ -131,7 +136,10 @@ def named_panel(
 
 
 def _padded_range(values: Array) -> tuple[float, float]:
-    """Smallest and largest finite value with a margin on both sides."""
+    """Smallest and largest finite value, with a margin of 4 % on both sides.
+
+    The margin is 1 for a single value; (0, 1) is used if no value is finite.
+    """
     finite = values[np.isfinite(values)]
     low, high = (
         (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
@@ -147,9 +155,9 @@ def named_panels(
     x_label: str,
     **options: Any,
 ) -> list[Panel]:
-    """Panels with named rows; many rows are split over several panels with one scale.
+    """Panels as by `named_panel`, with more than `MAX_ROWS` (9) rows split over three panels.
 
-    The arguments are the same as for `named_panel`.
+    All panels have the same horizontal axis. The arguments are those of `named_panel`.
     """
     panel = named_panel(title, names, values, x_label, **options)
     count = SPLIT_PANEL_COUNT if len(names) > MAX_ROWS else 1
@@ -160,7 +168,7 @@ def named_panels(
 
 
 def _panel_rows(panel: Panel, rows: NDArray[np.intp]) -> Panel:
-    """Copy of a panel with some of its rows.
+    """Copy of a panel with consecutive rows only, renumbered from zero.
 
     Args:
         panel: Panel with named rows.

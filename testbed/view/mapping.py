@@ -27,7 +27,7 @@ def write_mapping_page(path: Path, solution: MappingSolution) -> None:
 
 
 def mapping_table(draft: MappingDraft) -> Table:
-    """Table of the mapping's keys, values and evidence.
+    """Table of the keys that were assumed or solved, with value and evidence.
 
     Args:
         draft: The mapping.
@@ -39,6 +39,8 @@ def mapping_table(draft: MappingDraft) -> Table:
 
 def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
     """Template variables of the mapping page: title, summary, table and figures.
+
+    Figures are the plate's wrench before and after the solution, where these fits exist.
 
     Args:
         title: Name of the mapping.
@@ -64,12 +66,14 @@ def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
 
 
 def _wrench_section(wrench_fit: WrenchFit, anchor: str, origin: str) -> Section:
-    """Section with the wrench as read and its best fit by robot parameters.
+    """Section with the plate's six channels as read and their best fit by robot parameters.
+
+    The table has the share of each channel's variance that the fit leaves unexplained.
 
     Args:
         wrench_fit: Wrench as read, and its fit.
         anchor: Anchor on the page.
-        origin: Origin of the mapping, for the title.
+        origin: Origin of the mapping that gave the wrench, for the title.
     """
     panels = [
         Panel(

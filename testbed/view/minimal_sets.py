@@ -52,8 +52,9 @@ class IdentifiabilityReport:
         dynamic: Minimal set of the joint torques, delta_d.
         reaction: Minimal set of the force plate or force sensor, delta_r.
         drive_set: Minimal set of the joint torques with joint terms; None if not requested.
-        seen: Identifiability of the standard parameters by each instrument; () if not requested.
-        agreements: Comparisons of each set with independent methods; () if not requested.
+        seen: Identifiability of the standard parameters by each instrument, the map in the output;
+            () if not requested.
+        agreements: Comparisons of each set with numerical methods; () if not requested.
     """
 
     tree: Tree
@@ -83,7 +84,9 @@ class IdentifiabilityReport:
     def formulas(
         self, minimal: MinimalSet, lengths: LengthNotation
     ) -> tuple[Formula, ...]:
-        """Formulas of a minimal set's parameters, including regrouped joint terms.
+        """Formulas of a minimal set's parameters in terms of barycentric parameters.
+
+        For joint torques with `drive_set`, these include joint terms regrouped into the parameters.
 
         Args:
             minimal: One of the minimal sets.
@@ -98,6 +101,9 @@ def print_sets(
     console: Console, report: IdentifiabilityReport, lengths: LengthNotation
 ) -> None:
     """Print the minimal sets body by body, then explanations, map and checks.
+
+    Parameters that no sensor identifies, even in combination, and the numbers of combinations are
+    the last lines.
 
     Args:
         console: Console of the output; no text is cut off at its width.
@@ -133,6 +139,8 @@ def print_latex(
 ) -> None:
     """Print the formulas of the minimal sets as lines of an aligned LaTeX display.
 
+    Numbers of parameters, checks and summary are comments.
+
     Args:
         console: Console of the output.
         report: Minimal sets and checks.
@@ -152,7 +160,8 @@ def identifiability_table(
 ) -> Table:
     """Table of identifiability: a row per body, a column per instrument.
 
-    A cell has a glyph for each of the ten standard parameters.
+    A cell has a glyph of `IDENTIFIABILITY_GLYPHS` for each of the ten standard parameters, in the
+    order of `STANDARD_NAMES`. Massless bodies are left out.
 
     Args:
         tree: The robot.
@@ -178,9 +187,10 @@ def identifiability_table(
 def _print_bodies(
     console: Console, report: IdentifiabilityReport, lengths: LengthNotation
 ) -> None:
-    """Print each body's parameters, with the rule that retains a parameter in each set.
+    """Print a table per body: parameter, unit, rule for each sensor's set, and formula.
 
-    Bodies are in descending order, the bedplate last.
+    The rule, a key of `RULE_REASONS`, is the reason why the parameter is in the set; "-" if it is
+    not. Bodies are in descending order, the bedplate last.
     """
     rows = _formula_rows(report, lengths)
     names = [formula.left.text for formulas in rows.values() for formula in formulas]
@@ -212,7 +222,10 @@ def _print_bodies(
 def _formula_rows(
     report: IdentifiabilityReport, lengths: LengthNotation
 ) -> dict[int, dict[Formula, dict[str, str]]]:
-    """Unit, and rule of each sensor's set, by body and formula."""
+    """Table cells by body index and formula: "unit", and the rule by sensor.
+
+    A sensor's key is missing if the formula's parameter is not in its set; the bedplate is -1.
+    """
     rows: dict[int, dict[Formula, dict[str, str]]] = {}
     for sensor, each in report.sets_by_sensor.items():
         formulas = report.formulas(each, lengths)
@@ -224,7 +237,7 @@ def _formula_rows(
 
 
 def _body_heading(report: IdentifiabilityReport, body: int) -> str:
-    """Heading of a body: number, name, joint type and carrying body."""
+    """Heading of a body: number from 1, name, joint type and carrying body."""
     if body < 0:
         return "the bedplate"
     joint = report.tree.joints[body]
@@ -238,7 +251,11 @@ def _body_heading(report: IdentifiabilityReport, body: int) -> str:
 def _explanation_lines(
     report: IdentifiabilityReport, lengths: LengthNotation
 ) -> Iterator[str]:
-    """Lines on rules, redefined parameters, axis directions and joint terms."""
+    """Yield lines on the rules in use, auxiliary parameters, axis directions and joint terms.
+
+    Auxiliary formulas define starred parameters, with the sensor if they differ between sets; axes
+    are the triads of parameters along directions that are not body axes.
+    """
     for number in sorted({reason for each in report.sets for reason in each.reasons}):
         yield f"{'rule ' * number[0].isdigit()}{number}: {RULE_REASONS[number]}"
     sensors: dict[Formula, list[str]] = {}
@@ -258,7 +275,11 @@ def _explanation_lines(
 
 
 def _joint_term_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
-    """Lines on joint terms with independent columns, and on joint terms in combinations."""
+    """Yield lines on joint terms with a separate column, then on regrouped terms.
+
+    For a law, the joints whose term is an unknown of its own; for a regrouped term, the unknowns in
+    which it is contained.
+    """
     names = joint_and_shaft_names(tree)
     for law in dict.fromkeys(term.law for term in drives.asked):
         joints = [names[term.joint] for term in drives.terms if term.law == law]
@@ -273,7 +294,10 @@ def _joint_term_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
 
 
 def _summary_sentence(report: IdentifiabilityReport) -> str:
-    """Sentence with the number of identifiable combinations by each sensor."""
+    """Sentence with the number of parameters and of identifiable combinations by each sensor.
+
+    With joint terms, the number of unknowns of the joint torques follows.
+    """
     (first, *others), (count, *counts) = (
         report.sets_by_sensor,
         [each.count for each in report.sets],
@@ -292,7 +316,10 @@ def _summary_sentence(report: IdentifiabilityReport) -> str:
 
 
 def _agreement_lines(report: IdentifiabilityReport) -> Iterator[str]:
-    """Lines on the comparisons of the minimal sets with independent methods."""
+    """Yield a line per comparison: ranks by each method, distances, and agreement.
+
+    Methods are rules, exact recursion and sampled regressor; with joint terms the last two.
+    """
     for each in report.agreements:
         agree = "agree" if each.agrees else "DISAGREE"
         change = f"regrouping changes the model by {each.change:.0e}"
@@ -317,7 +344,8 @@ def minimal_sets_document(
 
     Args:
         report: Minimal sets, map and checks.
-        matrices: True to include the matrices of the sets.
+        matrices: True to include the matrices of the sets, and the selection "S" between the sets
+            of joint torques and plate.
     """
     sets = report.sets
     document: dict[str, Any] = {
@@ -342,7 +370,7 @@ def minimal_sets_document(
 
 
 def _set_document(tree: Tree, minimal: MinimalSet, matrices: bool) -> dict[str, Any]:
-    """JSON document of one minimal set."""
+    """JSON document of one minimal set: names, units, formulas, rules, matrices if requested."""
     document = {}
     if matrices:
         document["matrix"] = minimal.matrix.tolist()
@@ -367,7 +395,11 @@ def _set_document(tree: Tree, minimal: MinimalSet, matrices: bool) -> dict[str, 
 
 
 def _drive_set_document(drives: DriveSet, matrices: bool) -> dict[str, Any]:
-    """JSON document of the minimal set with joint terms."""
+    """JSON document of the minimal set with joint terms.
+
+    "asked" are all requested terms, "own" those with a separate column, "regrouped" the others,
+    with the coefficient of each unknown in which they are contained.
+    """
     asked = [drives.symbol(term).text for term in drives.asked]
     regrouped = {
         drives.symbol(term).text: {
@@ -391,7 +423,7 @@ def _drive_set_document(drives: DriveSet, matrices: bool) -> dict[str, Any]:
 def _instrument_document(
     tree: Tree, identifiability: InstrumentIdentifiability
 ) -> dict[str, Any]:
-    """JSON document of the identifiability of all standard parameters by one instrument."""
+    """JSON document of one instrument: "never", "combined" or "alone" by body and parameter."""
     words = ("never", "combined", "alone")
     bodies = {
         joint.body: dict(

@@ -37,6 +37,8 @@ def print_excitation(
 ) -> None:
     """Print a designed motion: predicted standard deviations, harmonics, margins to limits.
 
+    By default, only the `MAX_ROWS` parameters with the largest relative standard deviation.
+
     Args:
         console: Console of the output.
         excitation: The designed motion.
@@ -65,7 +67,10 @@ def print_excitation(
 
 
 def _prediction_sentence(excitation: Excitation) -> str:
-    """Sentence with predicted rms relative standard deviation and condition number."""
+    """Sentence with predicted rms relative standard deviation, compared with a random motion.
+
+    The condition number of the regressor follows.
+    """
     return (
         f"predicted: rms relative standard deviation {excitation.predicted.rms:.2%}, "
         f"{excitation.beside_random}; "
@@ -74,11 +79,13 @@ def _prediction_sentence(excitation: Excitation) -> str:
 
 
 def predicted_sigma_table(excitation: Excitation, rows: Sequence[int]) -> Table:
-    """Table of predicted standard deviations, with a column for a random motion.
+    """Table of absolute and relative predicted standard deviations.
+
+    If a random motion was found, a last column has its relative standard deviations.
 
     Args:
         excitation: The designed motion.
-        rows: Indices of the parameters.
+        rows: Indices of the parameters, in the order of the table.
     """
     predicted = excitation.predicted
     columns = {
@@ -95,7 +102,9 @@ def predicted_sigma_table(excitation: Excitation, rows: Sequence[int]) -> Table:
 
 
 def margin_table(margins: Iterable[Margin]) -> Table:
-    """Table of the margins of a motion to its limits, smallest margin first.
+    """Table of the margins of a motion to its limits, and their instants [s].
+
+    Exceeded limits come first; then by margin, ascending.
 
     Args:
         margins: Margins to the limits.
@@ -113,12 +122,12 @@ def margin_table(margins: Iterable[Margin]) -> Table:
 def print_limit_margins(
     console: Console, proof: Proof, *, everything: bool = False
 ) -> None:
-    """Print the proven margins of a motion to its limits.
+    """Print the margins of a motion to its limits, and the result of the proof.
 
     Args:
         console: Console of the output.
-        proof: Proof that the motion respects the limits.
-        everything: True to print all limits.
+        proof: Margins, and whether all limits are proven to be respected.
+        everything: True to print all limits, False for the `MAX_MARGINS` smallest margins.
     """
     table, count = margin_table(proof.margins), len(proof.margins)
     row_count = count if everything else min(MAX_MARGINS, count)
@@ -186,7 +195,10 @@ def motion_contents(excitation: Excitation) -> dict[str, Any]:
 
 
 def _sigma_section(excitation: Excitation) -> Section:
-    """Section with the predicted standard deviations of all parameters."""
+    """Section with the predicted relative standard deviations of all parameters [%].
+
+    Those of the best random motion are drawn too, if it identifies all parameters.
+    """
     names, relative_sigmas = excitation.predicted.names, excitation.predicted.relative
     random = None if excitation.gain is None else excitation.random
     values = {} if random is None else {"measured": 100 * random.relative}
@@ -218,7 +230,10 @@ def _plotted_times(excitation: Excitation) -> Array:
 
 
 def _motion_section(excitation: Excitation) -> Section:
-    """Section with position, velocity and acceleration of every joint over one period."""
+    """Section with position, velocity and acceleration of every joint over one period.
+
+    The table compares ranges and largest values with the joint limits.
+    """
     times, motion, limits = (
         _plotted_times(excitation),
         excitation.design.motion,
@@ -265,7 +280,10 @@ def _motion_section(excitation: Excitation) -> Section:
 
 
 def _limit_section(excitation: Excitation) -> Section:
-    """Section with the margins to the limits over one period."""
+    """Section with the smallest margin of each kind of limit over one period.
+
+    The table has the proven margins to all limits.
+    """
     times = _plotted_times(excitation)
     panels = [
         Panel(
@@ -290,7 +308,10 @@ def _limit_section(excitation: Excitation) -> Section:
 
 
 def _limit_caption(excitation: Excitation) -> str:
-    """Sentences on the usable share of the limits and the required distances."""
+    """Sentences on the usable share of the limits, required distances, and diagnostics.
+
+    Distances are mentioned only if pairs of bodies are checked for collision.
+    """
     rules = excitation.rules
     caption = f"{rules.margin:.0%} of each limit may be used."
     if rules.collision is not None and rules.collision.pairs:

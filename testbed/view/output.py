@@ -52,7 +52,7 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> None:
     """Write an HTML page from a template.
 
     Args:
-        path: The HTML file, replaced if it exists.
+        path: The HTML file, replaced if it exists; after an error it is unchanged.
         template: Name of a template in page/.
         content: Variables of the template.
     """
@@ -63,7 +63,8 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> None:
 def render_page(template: str, content: dict[str, Any]) -> str:
     """Text of an HTML page, rendered from a template.
 
-    The style sheet and a table of contents are inserted.
+    The style sheet, and links to all headings with an anchor, are inserted. A variable missing in
+    `content` is an error.
 
     Args:
         template: Name of a template in page/.
@@ -92,7 +93,10 @@ def render_page(template: str, content: dict[str, Any]) -> str:
 
 
 def typeset(text: str) -> Markup:
-    """HTML text with the signs ± and ², and without line breaks in numbers and options."""
+    """HTML text with ± for +-, ² for ^2, and special characters escaped.
+
+    Line breaks are prevented before %, in numbers with exponents, and in command-line options.
+    """
     for plain, sign in _TYPOGRAPHIC_SIGNS.items():
         text = text.replace(plain, sign)
     return Markup(
@@ -117,7 +121,7 @@ MIN_NAME_WIDTH = 12
 class Progress:
     """Progress on standard error: a bar on a terminal, otherwise a line at intervals.
 
-    In nested `with` blocks only the innermost bar is displayed.
+    Lines are at least `MIN_LINE_INTERVAL` (10 s) apart. In nested `with` blocks only the innermost bar is displayed.
     """
 
     _open_bars: ClassVar[list[Progress]] = []
@@ -188,10 +192,13 @@ class Progress:
 
 
 class PlainConsole(Console):
-    """Console that prints control characters, e.g. in names from files, as escape sequences."""
+    """Rich console that prints control characters of texts as escape sequences."""
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print as Rich does, with control characters of texts as escape sequences."""
+        """Print as Rich does, with control characters of texts as escape sequences.
+
+        Lines are not wrapped if all objects are texts, unless `soft_wrap` is given.
+        """
         only_texts = all(isinstance(each, str) for each in objects)
         escaped = (
             escape_control_characters(each) if isinstance(each, str) else each
@@ -262,7 +269,9 @@ def print_lines(out: Console, lines: Iterable[str]) -> None:
 def print_diagnostics(
     out: Console, diagnostics: Iterable[Diagnostic], max_count: int | None = None
 ) -> None:
-    """Print diagnostics, warnings before notes, each with causes and remedy.
+    """Print diagnostics, warnings before notes (level "info"), each with causes and remedy.
+
+    With `max_count`, the number of omitted diagnostics is printed last.
 
     Args:
         out: Console of the output.
@@ -290,13 +299,14 @@ def print_diagnostics(
 
 
 def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
-    """Print the first layout whose tables fit the console; numbers are never cut off.
+    """Print the first layout whose tables all fit the console's width.
 
-    If no layout fits, the tables of the last layout are split, and then row names are folded.
+    If no layout fits, the tables of the last layout are split by their groups of columns; if these
+    do not fit, row names are folded. Numbers are never cut off.
 
     Args:
         out: Console of the output.
-        layouts: Layouts from wide to narrow.
+        *layouts: Layouts of the same contents, from wide to narrow.
     """
     split = [part for table in layouts[-1] for part in table.split]
     unlimited_width = out.options.update(max_width=10_000)
@@ -314,11 +324,13 @@ def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
 
 
 def _rich_table(table: Table, width: int | None = None) -> RichTable:
-    """Rich table of a table; row names are folded to reach a given width.
+    """Table of the library Rich; row names are folded to reach a given width.
+
+    Columns of numbers keep their width: row names get the rest, at least `MIN_NAME_WIDTH`.
 
     Args:
         table: The table.
-        width: Largest width [characters]; None for unlimited width.
+        width: Desired width [characters]; None for unlimited width.
     """
     columns = list(
         zip(

@@ -55,7 +55,11 @@ class ErrorDots:
 
     @property
     def dots_and_bars(self) -> tuple[dict[str, Array], dict[str, tuple[Array, Array]]]:
-        """Positions of the dots, and ends of the bars from the axis to one sigma."""
+        """Positions of the dots, and (left, right) ends of the bars, by method, (p,) each [%].
+
+        Bars reach from the lower end of the logarithmic axis to one sigma. Errors below
+        `MIN_DRAWN_SHARE` of the largest value are drawn there.
+        """
         values = np.concatenate([*self.errors.values(), *self.sigmas.values(), [0.0]])
         smallest = MIN_DRAWN_SHARE * np.nanmax(values)
         dots: dict[str, Array] = {
@@ -73,11 +77,14 @@ def error_dots(
     estimates: Mapping[Signal, Estimate],
     true_errors: Mapping[Signal, Errors] | None = None,
 ) -> ErrorDots:
-    """Relative errors and sigmas of estimates, sorted by influence on the signals.
+    """Relative errors and sigmas of the parameters with most influence on the signals.
+
+    At most `MAX_PARAMETERS`, by decreasing influence. Errors and sigmas are relative to the scales
+    of `Errors`; without a truth, sigmas are relative to the estimated values.
 
     Args:
         estimates: Estimates of one robot by method.
-        true_errors: Errors against the truth by method; None where the truth is unknown.
+        true_errors: Errors against the truth by method; None if the truth is unknown.
     """
     truths: dict[str, float] = {}
     for each in (true_errors or {}).values():
@@ -109,7 +116,10 @@ def run_error_dots(run: Run) -> ErrorDots:
 
 
 def _relative_sigmas(estimate: Estimate) -> Array:
-    """Relative sigmas, (p,); nan for values that are zero, known or not identifiable."""
+    """Sigma over absolute value, (p,); nan for values that are zero or known exactly.
+
+    A value is known exactly if sigma is below its relative rounding error, `RELATIVE_ROUNDING`.
+    """
     size = np.abs(estimate.values)
     known = (size > 0) & (estimate.sigma > RELATIVE_ROUNDING * size)
     return estimate.sigma / np.where(known, size, np.nan)
@@ -129,9 +139,9 @@ def _percent_by_name(names: Sequence[str], estimate: Estimate, values: Array) ->
 
 
 def parameter_error_section(run: Run) -> Section | None:
-    """Section with the parameter errors of a run; None without parameters.
+    """Section with relative errors and sigmas of a run's parameters; None without parameters.
 
-    Without a known truth the section has relative standard deviations.
+    If the truth is unknown, the section has relative standard deviations only.
 
     Args:
         run: The run.
@@ -188,7 +198,7 @@ def plot(
         what: Recording: residuals of each channel are drawn. Run or estimate: errors of the
             parameters are drawn with bars to one standard deviation, or relative standard
             deviations where the truth is unknown.
-        estimates: Estimates of the recording's robot.
+        *estimates: Estimates of the recording's robot; ignored for a run or estimate.
 
     Returns:
         Matplotlib figure; notebooks display it, `savefig` writes it.
@@ -224,7 +234,10 @@ def plot(
 
 
 def _residual_figure(predictions: Predictions) -> Picture:
-    """Figure of measured minus predicted signals over time, one plot per channel."""
+    """Figure of measured minus predicted signals over time, one plot per channel.
+
+    The first channel is the main plot of the panel, the others are lower plots.
+    """
     plots = {
         f"{channel.name} [{channel.unit}]": {
             method: (predictions.time, residual)

@@ -33,7 +33,10 @@ CANDIDATE_HEADS = {
 
 
 def posterior_table(posterior: Posterior, max_rows: int | None = None) -> Table:
-    """Table of model file, estimate and data share; body parameters first, sorted by share.
+    """Table of prior and posterior value with sigma, and data share, of each parameter.
+
+    Minimal parameters of the bodies come first, by decreasing data share (share of the prior
+    variance that the data remove), then joint terms, whose prior is "free".
 
     Args:
         posterior: Posterior by one method.
@@ -66,7 +69,9 @@ def posterior_table(posterior: Posterior, max_rows: int | None = None) -> Table:
 
 
 def prediction_error_table(errors: PredictionErrors) -> Table:
-    """Table of rms prediction errors of model file and estimates on held-out data.
+    """Table of rms signal and rms prediction error by channel (row) and candidate (column).
+
+    Candidates are model file and estimates; the title names the held-out data.
 
     Args:
         errors: Prediction errors of one method.
@@ -79,7 +84,11 @@ def prediction_error_table(errors: PredictionErrors) -> Table:
 
 
 def validation_table(validation: Validation) -> Table:
-    """Table of prediction errors on another recording, by channel and candidate.
+    """Table of prediction errors on another recording, by channel.
+
+    Columns are rms errors of all candidates (a star marks the validated estimate) or only of this
+    estimate; then, for this estimate: residual over rms signal, mean residual, rms noise, predicted
+    standard deviation, ratio of residual to expected residual, and number of rows.
 
     Args:
         validation: Validation of one method.
@@ -112,7 +121,9 @@ def validation_table(validation: Validation) -> Table:
 def _error_columns(
     prediction_errors: PredictionErrors, reported: str = ""
 ) -> dict[str, list[str]]:
-    """Columns of signals, and of errors by candidate; a star marks the reported candidate.
+    """Columns of the rms signal and of the rms error by each candidate.
+
+    A star marks the reported candidate. Candidates without errors are left out.
 
     Args:
         prediction_errors: Prediction errors of one method.

@@ -47,9 +47,11 @@ SIGNAL_LABELS = {
 def write_report(run: Run, path: Path) -> Path:
     """Write the HTML report of a run, and its numbers as JSON.
 
+    After an error neither file is written.
+
     Args:
         run: Run of the report.
-        path: The HTML file.
+        path: The HTML file, replaced if it exists.
 
     Returns:
         The JSON file: of the same name, ending in .json.
@@ -98,7 +100,7 @@ def report(
 
 
 def _json_values(content: Any) -> Any:
-    """Template variables as JSON values; panels are reduced to titles."""
+    """Template variables as JSON values: dataclasses as mappings, panels as their titles."""
     if isinstance(content, Panel):
         return {"title": content.title}
     if is_dataclass(content):
@@ -155,7 +157,10 @@ def _estimate_values(estimate: Estimate) -> dict[str, Any]:
 
 
 def _claim_table(run: Run) -> Table | None:
-    """Table of the experiment's claimed bounds and the metrics; None without bounds."""
+    """Table with a row per bound of [expect]: metric, bound, value, and yes or no.
+
+    None without bounds.
+    """
     expect = {} if run.experiment is None else run.experiment.expect
     rows = [
         [
@@ -170,7 +175,11 @@ def _claim_table(run: Run) -> Table | None:
 
 
 def _posterior_tables(run: Run) -> list[Table]:
-    """Tables of prediction errors, and of posteriors with the model file as prior."""
+    """Tables of prediction errors on held-out data, then of the posteriors of a run.
+
+    The errors are of each posterior and validation. A posterior has a table of values only if its
+    prior is needed (`used`).
+    """
     posteriors, validations = run.posterior.values(), run.validation.values()
     errors = [errors for each in posteriors for errors in each.errors]
     errors += [each.errors for each in validations if each.errors is not None]
@@ -210,7 +219,7 @@ def _identifiability_tables(run: Run) -> list[Table]:
 
 
 def _setting_texts(run: Run) -> dict[str, str]:
-    """Texts on robot, recording, identification and versions, by label."""
+    """Texts on robot, recording, identification and versions, by label; empty texts omitted."""
     tree, recording = run.tree, run.recording
     joints = tree.names[N_BASE_COORDINATES:] if tree.floating else tree.names
     fitted = vars(run.settings.fitted(recording.rate))
@@ -238,7 +247,7 @@ def _setting_texts(run: Run) -> dict[str, str]:
 
 
 def _recorded_signal_labels(run: Run) -> Iterator[str]:
-    """Labels of the recorded signals."""
+    """Yield the labels of the recorded signals; the base pose for a floating robot."""
     for key, label in SIGNAL_LABELS.items():
         if run.tree.floating if key == "base" else key in run.recording.signals:
             yield label

@@ -46,7 +46,10 @@ class Table:
 
     @property
     def split(self) -> list[Table]:
-        """Tables of the groups of columns, each with the first column."""
+        """Tables of the groups of columns in `parts`, each with the first column.
+
+        Without groups, one table with all columns.
+        """
         tables = []
         for part in self.parts or [range(1, len(self.heads))]:
             heads, *rows = (
@@ -57,7 +60,10 @@ class Table:
 
     @property
     def markdown(self) -> str:
-        """Markdown text of the table, for the Rerun viewer."""
+        """Markdown text of the table without title, for the Rerun viewer.
+
+        A vertical bar in a cell becomes a slash, and +- becomes ±.
+        """
         lines = [self.heads, ["---"] * len(self.heads), *self.rows]
         cells = (
             [cell.replace("|", "/").replace("+-", "±") for cell in line]

@@ -51,10 +51,10 @@ def sections(predictions: Predictions) -> list[Section]:
 
 
 def _relevant_residuals(channel: Channel) -> dict[Signal, Array]:
-    """Residuals of a channel by method, without torque residuals that contain friction.
+    """Measured minus predicted signal of a channel by method, (M,) each [N or N m].
 
-    Joint torques by the plate's estimate lack friction: their residual is omitted if there is an
-    estimate from joint torques.
+    The plate's estimate predicts joint torques without friction. Its residual is left out for a
+    torque that is also predicted by the estimate from joint torques.
     """
     residuals = channel.residuals
     if channel.kind == "torque" and "torque" in residuals:
@@ -63,7 +63,9 @@ def _relevant_residuals(channel: Channel) -> dict[Signal, Array]:
 
 
 def _prediction_section(predictions: Predictions, smooth: Predictions) -> Section:
-    """Section with measured and predicted signals, and residuals.
+    """Section with a panel of measured and predicted signals and residuals per channel.
+
+    The table has the rms residuals and, on a held-out recording, their expected size.
 
     Args:
         predictions: Predictions by the estimates of the run, with the run's validation.
@@ -106,7 +108,10 @@ def _prediction_section(predictions: Predictions, smooth: Predictions) -> Sectio
 
 
 def _signal_panel(predictions: Predictions, channel: Channel) -> Panel:
-    """Panel of one channel: measured and predicted signals above, residuals below."""
+    """Panel of one channel: measured and predicted signals above, relevant residuals below.
+
+    Drawn are the first `PLOTTED_DURATION` seconds, reduced to at most 1000 points per curve.
+    """
     time = predictions.motion.t
     in_window = time <= time[0] + PLOTTED_DURATION
     above, below = (
@@ -125,7 +130,10 @@ def _signal_panel(predictions: Predictions, channel: Channel) -> Panel:
 def _residual_table(
     predictions: Predictions, smooth: Predictions, names: Mapping[Signal, str]
 ) -> Table:
-    """Table of standard deviation and rms residuals of all channels.
+    """Table with a row per channel: standard deviation, rms residuals, and residual ratios.
+
+    By method: rms residual, residual over the signal's standard deviation and, if validated,
+    residual over expected residual and share of samples in the 95 % band.
 
     Args:
         predictions: Predictions with the run's validation.
@@ -145,9 +153,10 @@ def _residual_table(
 
 
 def _residual_row(run: Run, channel: Channel) -> list[str]:
-    """Table row of a channel: standard deviation, rms and relative rms residuals by method.
+    """Table row of a channel: name, unit, standard deviation, rms residuals, relative residuals.
 
-    A cell is "" if the method does not predict the channel, or if the channel is constant.
+    The residuals are by method, relative to the standard deviation of the measured signal. A cell
+    is "" if the method does not predict the channel, or if the channel is constant.
     """
     spread = float(channel.measured.std())
     rms_residuals = {
@@ -172,14 +181,14 @@ def _residual_row(run: Run, channel: Channel) -> list[str]:
 
 
 def _validated_methods(predictions: Predictions) -> list[Signal]:
-    """Methods with residuals relative to expected noise; [] for the recording of the fit."""
+    """Methods validated on the held-out recording; [] for the recording of the fit."""
     return list(predictions.run.validation) if predictions.unseen else []
 
 
 def _ratio_cells(predictions: Predictions, channel: Channel) -> list[str]:
     """Table cells with residual over expected residual, and share of samples in the band.
 
-    Two cells per validated method; "" for channels that the method does not measure.
+    Two cells per validated method; "" for channels of the other signal or without counted rows.
     """
     cells: list[str] = []
     for method in _validated_methods(predictions):
@@ -194,7 +203,10 @@ def _ratio_cells(predictions: Predictions, channel: Channel) -> list[str]:
 
 
 def _spectrum_section(predictions: Predictions) -> Section:
-    """Section with the amplitude spectral densities of the residuals."""
+    """Section with the amplitude spectral densities of the relevant residuals of each channel.
+
+    The table has the rms residual below and above `MOTION_BANDWIDTH`.
+    """
     rate, names = predictions.recording.rate, predictions.run.instruments
     panels, rows = [], []
     for channel in predictions.channels:
@@ -240,7 +252,9 @@ def _spectrum_section(predictions: Predictions) -> Section:
 
 
 def _friction_section(predictions: Predictions, torque: Array) -> Section:
-    """Section with unexplained torque and identified friction over joint velocity.
+    """Section with unexplained torque and identified friction over velocity, joint by joint.
+
+    The table has the joint terms identified from joint torques, with the truth where known.
 
     Args:
         predictions: Predictions.
@@ -279,6 +293,9 @@ def _friction_section(predictions: Predictions, torque: Array) -> Section:
 def _friction_panel(predictions: Predictions, j: int, torque: Array) -> Panel:
     """Panel of one joint: unexplained torque and identified friction over velocity.
 
+    Points are samples. Lines, where identified, are the friction model from joint torques at
+    constant velocity, and the friction curve from the plate with a band of `BAND_SIGMAS` sigmas.
+
     Args:
         predictions: Predictions.
         j: Index of the joint.
@@ -302,7 +319,10 @@ def _friction_panel(predictions: Predictions, j: int, torque: Array) -> Panel:
 
 
 def _term_rows(run: Run) -> list[list[str]]:
-    """Table rows of the joint terms identified from joint torques, joint by joint."""
+    """Table rows of the joint terms identified from joint torques, joint by joint.
+
+    A row has joint, kind, unit, value with sigma, and the truth or "". Terms of shafts come last.
+    """
     estimate = run.estimates.get("torque")
     terms = () if estimate is None else estimate.joint_terms
     order = [*run.tree.names, *(term.joint for term in terms)]
@@ -319,7 +339,9 @@ def _term_rows(run: Run) -> list[list[str]]:
 
 
 def spectrum(signal: Array, rate: float) -> tuple[Array, Array]:
-    """Amplitude spectral density of a signal by Welch's method, without frequency zero.
+    """One-sided amplitude spectral density of a signal by Welch's method, without frequency zero.
+
+    Segments have at most `MAX_SEGMENT_SAMPLES` samples.
 
     Args:
         signal: Signal, (M,).

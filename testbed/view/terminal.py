@@ -65,13 +65,16 @@ def print_estimates(
 ) -> None:
     """Print the estimates from one recording: verdict, diagnostics, parameters, bodies.
 
+    Diagnostics of single columns come first, as others may follow from these. A posterior is
+    tabulated for methods whose prior is needed, least squares for the others.
+
     Args:
         estimates: Estimates from one recording, one per method.
         diagnostics: Diagnostics of the robot and the recording.
         bodies: Bodies consistent with the estimates; None if not requested.
         posteriors: Estimates from an imported recording with the model file as prior.
         least_squares: True to report the least-squares estimates instead of the posteriors.
-        everything: True to print all parameters and warnings.
+        everything: True to print all parameters, all warnings, and the fit of each estimate.
     """
     out = console()
     reported_posteriors = [] if least_squares else list(posteriors)
@@ -133,7 +136,10 @@ def _print_parameters(
     *,
     everything: bool,
 ) -> None:
-    """Print the parameters with most influence on the predicted signals, or all parameters.
+    """Print the `MAX_ROWS` parameters with most influence on the signals, or all parameters.
+
+    Lines on unidentifiable parameters, on the number of omitted parameters, and `LEGEND` follow.
+    Nothing is printed without estimates.
 
     Args:
         out: Console of the output.
@@ -157,7 +163,7 @@ def _print_parameters(
 def print_plate(
     plate: Calibration, diagnostics: Sequence[Diagnostic], path: Path
 ) -> None:
-    """Print the calibration of a force plate.
+    """Print a force plate's calibration: matrix, other coefficients, estimate, diagnostics.
 
     Args:
         plate: The calibration, with the estimate.
@@ -206,7 +212,9 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
 
 
 def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
-    """Print metrics with the bounds of the experiment.
+    """Print a line per metric: name, value ("none" if missing), and the bound of [expect].
+
+    A bound is followed by "holds" or "FAILS"; metrics without a bound have no such text.
 
     Args:
         out: Console of the output.
@@ -223,7 +231,7 @@ def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
 
 
 def _print_verdict(out: Console, run: Run) -> None:
-    """Print the experiment's claim, the number of satisfied bounds, and all violated bounds.
+    """Print the experiment's claim, the number of satisfied bounds, and the violated bounds.
 
     Nothing is printed for a run without bounds.
     """

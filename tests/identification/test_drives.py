@@ -24,7 +24,10 @@ from testbed.applications.drives.identify_drives import (
     identify_drives,
     with_identified_drives,
 )
-from testbed.applications.drives.joint_regression import fit_joint_regressions, torques_beside
+from testbed.applications.drives.joint_regression import (
+    fit_joint_regressions,
+    torque_regression_data,
+)
 from testbed.bodies.write_model import write_model
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError
@@ -147,7 +150,7 @@ def test_a_poorly_known_load_does_not_make_constants_small() -> None:
     noise = rng.normal(size=(plain.samples, 6)) * np.repeat([15.0, 3.0], 3)
     recording = plus(plain, wrench=noise)
     bodies = tb.identify(tree, recording)
-    torques = torques_beside(Problem.from_recording(tree, recording, "torque"), bodies)
+    torques = torque_regression_data(Problem.from_recording(tree, recording, "torque"), bodies)
     found = fit_joint_regressions(torques, bodies)
     both = combined(torques, bodies, found)
     assert min(each.reliability for each in found) < 0.97

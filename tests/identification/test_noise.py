@@ -206,7 +206,7 @@ def test_sigma_counts_what_coarse_encoders_do() -> None:
     assert np.sqrt(np.mean(((coarse.values - truth) / coarse.sigma) ** 2)) < 1.5
     for found, seen in ((coarse, True), (fine, False)):
         assert found.noise is not None
-        assert found.noise.steps_matter == seen
+        assert found.noise.quantization_matters == seen
         np.testing.assert_allclose(found.noise.least_counts, [count] * 3 * seen, rtol=1e-6)
         said = [d.text for d in found.diagnostics if d.code == "encoder.resolution"]
         assert [len([n for n in tree.names if n in text]) for text in said] == [tree.n] * seen

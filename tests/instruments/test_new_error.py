@@ -31,7 +31,7 @@ from typing import Annotated, ClassVar
 
 from testbed.sensors.kind_table import RANDOM_SIGN, PerChannel
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.systematic_error import PlateError, of_channels
+from testbed.sensors.systematic_error import PlateError, channel_coefficients
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class PlateGainDrift(PlateError):
     """
 
     kind: ClassVar[str] = "plate_gain_drift"
-    fixed: ClassVar = of_channels("plate_gain_drift", ["1/s"] * 6)
+    fixed: ClassVar = channel_coefficients("plate_gain_drift", ["1/s"] * 6)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     rate: Annotated[PerChannel, RANDOM_SIGN] = 1e-3
 

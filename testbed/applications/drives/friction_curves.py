@@ -18,7 +18,7 @@ from testbed.applications.drives.joint_regression import (
     JointRegression,
     TorqueRegressionData,
     fit_joint_regressions,
-    torques_beside,
+    torque_regression_data,
 )
 from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.blas import one_blas_thread
@@ -160,7 +160,9 @@ def friction_curves(
         for drive in drives
     }
     distinct_laws = dict.fromkeys(law for laws in other_laws.values() for law in laws)
-    torques = torques_beside(problem, bodies, (*distinct_laws, *NODE_LAWS.values()))
+    torques = torque_regression_data(
+        problem, bodies, (*distinct_laws, *NODE_LAWS.values())
+    )
     nodes = {joint: _used_nodes(torques, joint) for joint in torques.joints}
     coefficient_matrices = {}
     for joint, joint_nodes in nodes.items():

@@ -24,7 +24,7 @@ from testbed.applications.drives.joint_regression import (
     JointRegression,
     TorqueRegressionData,
     fit_joint_regressions,
-    torques_beside,
+    torque_regression_data,
 )
 from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.blas import eigh
@@ -379,7 +379,7 @@ def identify_drives(
     )
     settings = problem.settings
     laws = offered(settings.laws, problem.source.signals) if choose else None
-    torques = torques_beside(problem, bodies, laws)
+    torques = torque_regression_data(problem, bodies, laws)
     choices = chosen_terms(problem.tree, torques, bodies) if choose else {}
     joint_regressions = fit_joint_regressions(
         torques, bodies, term_selection_matrices(torques, choices) if choose else None

@@ -200,7 +200,7 @@ class TorqueRegressionData:
         return np.eye(len(self.drives.asked))[:, list(selected)]
 
 
-def torques_beside(
+def torque_regression_data(
     problem: Problem, bodies: Estimate, laws: Sequence[str | JointLaw] | None = None
 ) -> TorqueRegressionData:
     """Collect regression data of joint torques, with torques predicted by the plate's estimate.

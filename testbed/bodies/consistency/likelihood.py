@@ -104,7 +104,7 @@ def likelihood_of(
         estimate: Estimate of either method.
         terms: Joint terms in the order of x.
     """
-    parameter_rows, zero_rows = _barycentric_rows(tree, estimate)
+    parameter_rows, zero_rows = _estimate_and_zero_rows(tree, estimate)
     drives = estimate.drives
     asked = () if drives is None else drives.asked
     term_columns = [10 * tree.n + terms.index(term) for term in asked]
@@ -195,7 +195,7 @@ def _rms_difference(plate: Estimate, torques: Estimate) -> float:
     )
 
 
-def _barycentric_rows(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
+def _estimate_and_zero_rows(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
     """Coefficients of estimated and of assumed-zero parameters on barycentric parameters and terms.
 
     With known zeros, the minimal parameters are combinations of fewer barycentric parameters than

@@ -94,7 +94,7 @@ def detect_sampling_time_errors(source: Source) -> SamplingTimeErrors:
         return NO_TIMING_ERRORS
     first, last = longest_segment(source)
     part = source.part(first, min(last, first + MAX_SAMPLES))
-    return errors_of_times(part.time, part.position)
+    return sampling_time_errors(part.time, part.position)
 
 
 class _Increments(NamedTuple):
@@ -113,7 +113,7 @@ class _Increments(NamedTuple):
     noise: float
 
 
-def errors_of_times(time: Array, position: Array) -> SamplingTimeErrors:
+def sampling_time_errors(time: Array, position: Array) -> SamplingTimeErrors:
     """Errors of sampling times from positions of a smooth motion.
 
     A lost or repeated row is an increment whose error along the motion exceeds `MIN_ROW_ERROR`

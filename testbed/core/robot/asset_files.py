@@ -83,7 +83,9 @@ def copy_obstacle(file: Path, model: Path) -> str | None:
 
 
 def blocking_reason(file: Path) -> str | None:
-    """Reason why reading a mesh file could block: a material that is no regular file, or None.
+    """Reason why reading a mesh file could block; None if reading is safe.
+
+    The reason is an existing material file that is no regular file, such as a pipe.
 
     Args:
         file: Mesh file; only .obj files name materials.

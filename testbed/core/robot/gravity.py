@@ -48,7 +48,7 @@ def parse_gravity(value: Any) -> Any:
 
 
 def mounting_name(gravity: Sequence[float]) -> str | list[float]:
-    """Name of the mounting for a gravity vector; the vector as three numbers if no name fits.
+    """Name of the mounting for a gravity vector; three numbers if no name fits.
 
     A name of `GRAVITY_BY_MOUNTING` fits if its vector is exactly equal.
 

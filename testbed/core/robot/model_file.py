@@ -178,7 +178,7 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
 
 
 def readable_model(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
-    """Read a model file, with the root welded and joints locked as far as a tree requires.
+    """Read a model file, with root welded and joints locked as a tree requires.
 
     A floating root is welded, all mimic joints are locked at the positions that their masters
     imply, and the joints of a kinematic loop at their rest positions. Locks in `file` come first.
@@ -222,7 +222,7 @@ def joint_names(path: str | Path) -> tuple[str, ...]:
 
 
 def _travels(path: Path) -> Mapping[str, JointTravel]:
-    """Range and coupling of every moving joint of a model file, by name; of MJCF no ranges."""
+    """Range and coupling of every moving joint by name; without ranges for MJCF."""
     if model_format(path) == "mjcf":
         from testbed.core.robot.formats.mjcf_spec import mjcf_joint_travels
 
@@ -294,7 +294,7 @@ def copy_model(path: Path, folder: Path) -> Path:
 
 
 def referenced_files(path: Path) -> dict[Path, Path]:
-    """Files to copy with a model, with the folder to which each file name is relative.
+    """Files to copy with a model, and the folders to which names are relative.
 
     Files with a `copy_obstacle` are left out.
 
@@ -325,7 +325,7 @@ def _urdf_meshes(path: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def find_mesh(name: str, model: Path) -> tuple[Path, Path] | None:
-    """Folder to which a URDF mesh name is relative, and the mesh file; None if missing.
+    """Base folder of a mesh name in a URDF, and the mesh file; None if missing.
 
     A name package://PACKAGE/... is resolved below all folders above the model, nearest first, with
     and then without the package's name; any other name below the model's folder.

@@ -107,7 +107,7 @@ def find_placeholders(tree: Tree) -> Placeholders:
 
 
 class _Link(NamedTuple):
-    """Moving link: name, index of its body in the tree, inertia about and along its frame."""
+    """Moving link: name, index of the tree's body, inertia in the link's frame."""
 
     name: str
     body: int

@@ -20,7 +20,7 @@ class InertiaError(ModelError):
 
 
 class FreeRootError(ModelError):
-    """Error of a floating root of a robot; `joint` holds the name of the free joint."""
+    """Error of a floating root; `joint` holds the name of the free joint."""
 
     def __init__(self, source: str, joint: str) -> None:
         self.joint = joint

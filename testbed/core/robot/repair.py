@@ -245,7 +245,7 @@ class _RobotScale:
 
     @staticmethod
     def of_bodies(bodies: Iterable[Inertia]) -> _RobotScale:
-        """Scale of a robot from its bodies; a mass or length of zero is replaced by unity."""
+        """Scale of a robot from the bodies' inertias; unity in place of zero."""
         heavy = [body for body in bodies if body.mass > 0]
         reach = max([0.0, *(body.radius for body in heavy)])
         return _RobotScale(sum(body.mass for body in heavy) or 1.0, reach or 1.0)
@@ -320,7 +320,7 @@ _MESSAGE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g
 
 
 def _lumped_inertia(carrier: ModelLink, *others: ModelLink) -> Inertia:
-    """Inertia of a link and all links fixed to it, about and along the link's frame.
+    """Inertia of a link and all links fixed to it, in the link's frame.
 
     Without massive fixed links the link's inertia is unchanged to the last bit.
 

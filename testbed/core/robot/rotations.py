@@ -60,7 +60,7 @@ def matrix_to_quaternion(R: Array) -> Array:
 
 
 def joint_displacement(axis: Array, q: float, *, revolute: bool) -> Transform:
-    """Pose of a body after the displacement q of its joint, relative to its pose at q = 0.
+    """Pose of a body at joint position q, relative to the pose at q = 0.
 
     Args:
         axis: Unit vector of the joint axis, (3,).

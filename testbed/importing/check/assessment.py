@@ -253,7 +253,9 @@ def _plate_assessment(
         ]
     plate_error = any(each.level == "error" for each in plate_diagnostics)
     torques = _torques_with_plate_bodies(tree, part, best, faults)
-    for other in search.with_senses(best, _doubtful_joints(torques)):
+    for other in search.explanations_with_reversed_joints(
+        best, _joints_with_possible_sign_error(torques)
+    ):
         other_torques = _torques_with_plate_bodies(tree, part, other, faults)
         torque_gain = _torque_gain(other_torques, torques)
         if torque_gain > CERTAIN_GAIN:
@@ -297,7 +299,9 @@ def _plate_assessment(
         remedies += torques.remedies
     diagnostics += still_diagnostics
     if not (mapping_wrong or plate_error or torques.remedies):
-        diagnostics += check_undetermined_positions(tree, search.undecided())
+        diagnostics += check_undetermined_positions(
+            tree, search.undetermined_hypotheses()
+        )
     return Assessment(
         tuple(diagnostics), torques.torque_scales, remedies, equals, as_read, best
     )
@@ -354,7 +358,7 @@ def _torques_with_plate_bodies(
     return assess_torques(tree, replace(part, position=position), faults, prior)
 
 
-def _doubtful_joints(torques: TorqueAssessment) -> list[int]:
+def _joints_with_possible_sign_error(torques: TorqueAssessment) -> list[int]:
     """Indices of joints whose position sign, not torque sign, may be reversed.
 
     Joints with an accepted hypothesis `torque_sign`, or more than 10 % of the torque's variance

@@ -105,7 +105,7 @@ def _without_placeholder(body: Inertia) -> Inertia:
     """Body with an implausibly large inertia replaced by one of a plausible size.
 
     Implausible: radius of gyration above `MAX_GYRATION_RADIUS`. The replacement about the centre of
-    mass is m L^2 about all axes, with L by `_body_length`; massless bodies get 1e-6 kg.
+    mass is m L^2 about all axes, with L by `_assumed_size`; massless bodies get 1e-6 kg.
     """
     mass = max(body.mass, 1e-6)
     if np.trace(body.central) / 2 <= mass * MAX_GYRATION_RADIUS**2:
@@ -113,11 +113,11 @@ def _without_placeholder(body: Inertia) -> Inertia:
             body if body.mass == mass else Inertia(mass, body.first_moment, body.tensor)
         )
     return Inertia.about_centre(
-        mass, body.com, mass * _body_length(body) ** 2 * np.eye(3)
+        mass, body.com, mass * _assumed_size(body) ** 2 * np.eye(3)
     )
 
 
-def _body_length(body: Inertia) -> float:
+def _assumed_size(body: Inertia) -> float:
     """Approximate length of a body [m]: 5 cm plus half the centre of mass's distance."""
     return 0.05 + 0.5 * float(np.linalg.norm(body.com))
 
@@ -147,7 +147,7 @@ def _body_root(body: Inertia, scale_mass: float) -> Array:
         root[:, 1 + k] = scale_mass * difference / 2
     root[4:, 4:] = np.eye(6)
     moments = np.abs(np.diagonal(body.central)).max()
-    arm = CENTRE_SIGMA + 0.3 * _body_length(body)
+    arm = CENTRE_SIGMA + 0.3 * _assumed_size(body)
     sigma = [MASS_SIGMA * scale_mass] + [
         CENTRE_SIGMA + CENTRE_SIGMA_PER_LENGTH * distance
     ] * 3

@@ -154,7 +154,7 @@ def solve_mapping(
     refined = draft if best is None else with_plate_correction(draft, best)
     current = prepared if refined is draft else None
     if any(each.code in ("plate.foreign", "recording.short") for each in diagnostics):
-        refined = _with_doubtful_notes(refined)
+        refined = _with_notes_as_assumed(refined)
     return MappingSolution(
         refined,
         diagnostics,
@@ -422,7 +422,7 @@ def _length_diagnostics(tree: Tree, assessment: Assessment) -> Iterator[Diagnost
         )
 
 
-def _with_doubtful_notes(draft: MappingDraft) -> MappingDraft:
+def _with_notes_as_assumed(draft: MappingDraft) -> MappingDraft:
     """Draft in which solved values are marked as assumed in their notes."""
     notes = {
         place: f"{ASSUMED_NOTE} ({note})"

@@ -169,7 +169,7 @@ def _optimal_rotation(
     Returns:
         Rotation, factor on the moments, largest sigma of the rotation [rad], and cost.
     """
-    ratio = plate.gain_ratio(frame.map(frame.rotation, frame.units, order))
+    ratio = plate.moment_factor(frame.map(frame.rotation, frame.units, order))
     indices = [*ROTATION_INDICES, RATIO_INDEX]
     for _ in range(MAX_ITERATIONS):
         fit = plate.fit(

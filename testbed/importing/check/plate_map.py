@@ -197,7 +197,7 @@ class PlateRows:
             np.maximum(squares / variances, 0.0), noise / variances, extras, sigma, size
         )
 
-    def gain_ratio(self, matrix: Array) -> float:
+    def moment_factor(self, matrix: Array) -> float:
         """Factor on moments for the model file's rms ratio of moments to forces.
 
         Args:

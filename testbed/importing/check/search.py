@@ -123,7 +123,7 @@ class Search:
         )[::-1]
         return as_read, rank_explanations(explanations[:MAX_EXPLANATIONS])
 
-    def with_senses(
+    def explanations_with_reversed_joints(
         self, best: Explanation, joints: Iterable[int]
     ) -> Iterator[Explanation]:
         """Yield explanations with one joint's position sign reversed, of equal plate cost.
@@ -143,7 +143,7 @@ class Search:
             if other.cost < best.cost + MIN_HYPOTHESIS_GAIN:
                 yield other
 
-    def undecided(self) -> list[Hypothesis]:
+    def undetermined_hypotheses(self) -> list[Hypothesis]:
         """Single position hypotheses under which the data are about equally likely.
 
         Their cost is less than `MIN_HYPOTHESIS_GAIN` above that of the positions as read.
@@ -229,7 +229,7 @@ class Search:
             _likeliest_explanation(explanations).plate.unexplained
         ):
             return  # positions are right where only a matrix explains the plate
-        self._fit_each(first, rarer_hypotheses(tree))
+        self._fit_each(first, oblique_zero_hypotheses(tree))
         yield self._refined_explanations(3)
         for each in self._nearest_fits(2):
             self._fit_each(
@@ -369,7 +369,7 @@ def position_hypotheses(
             yield Hypothesis("position_order", affected, order)
 
 
-def rarer_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
+def oblique_zero_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
     """Yield hypotheses on joint zeros by odd multiples of 45 degrees.
 
     Args:

@@ -45,7 +45,9 @@ MAX_SIGMA_RATIO, KNOWN_SIGMA = 2.0, 0.1
 """Conditions for a known scale factor: standard deviation relative to the least, or absolute."""
 
 
-def column_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
+def torque_order_and_sign_readings(
+    case: TorqueCase, joints: Sequence[int]
+) -> Iterator[LogReading]:
     """Yield readings with torques of other columns or opposite signs.
 
     First all signs opposite (also with gravity along other axes), then single signs, then orders of

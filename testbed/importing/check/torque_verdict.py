@@ -28,10 +28,10 @@ from testbed.importing.check.position_readings import position_readings
 from testbed.importing.check.remedies import Hypothesis
 from testbed.importing.check.spring_readings import spring_readings
 from testbed.importing.check.torque_columns import (
-    column_readings,
     compensated_gravity_readings,
     has_contradictory_scales,
     scale_reading,
+    torque_order_and_sign_readings,
 )
 from testbed.importing.check.torque_products import friction_coefficients
 from testbed.importing.check.torque_readings import LogReading, TorqueCase
@@ -136,7 +136,7 @@ def compare_readings(case: TorqueCase, steps: int = MAX_MISTAKES) -> TorqueVerdi
         case: Joint torques of a log, with robot and prior.
         steps: Largest number of mistakes.
     """
-    verdict = single_mistake_verdict(case)
+    verdict = single_reading_verdict(case)
     if verdict.outcome == "as given" or steps == 1:
         return verdict
     if verdict.outcome == "explained":
@@ -180,7 +180,7 @@ def _pair_verdict(verdict: TorqueVerdict) -> TorqueVerdict:
             candidates.append(each)
     pairs = []
     for each in candidates[:MAX_PAIR_STARTS]:
-        second_verdict = single_mistake_verdict(case_without_mistake(case, each))
+        second_verdict = single_reading_verdict(case_without_mistake(case, each))
         if second_verdict.outcome == "explained":
             pairs.append(
                 (
@@ -198,7 +198,7 @@ def _pair_verdict(verdict: TorqueVerdict) -> TorqueVerdict:
             return verdict
     _, first, second = pairs[0]
     if (
-        single_mistake_verdict(
+        single_reading_verdict(
             case_without_mistake(case_without_mistake(case, first), second)
         ).outcome
         != "as given"
@@ -230,7 +230,7 @@ def case_without_mistake(case: TorqueCase, reading: LogReading) -> TorqueCase:
     )
 
 
-def single_mistake_verdict(case: TorqueCase) -> TorqueVerdict:
+def single_reading_verdict(case: TorqueCase) -> TorqueVerdict:
     """Compare all single readings of a log, and accept at most one.
 
     Args:
@@ -239,7 +239,7 @@ def single_mistake_verdict(case: TorqueCase) -> TorqueVerdict:
     joints = np.flatnonzero(case.usable_channels).tolist()
     if not joints:
         return TorqueVerdict("as given", case)
-    readings = [case.as_given, *column_readings(case, joints)]
+    readings = [case.as_given, *torque_order_and_sign_readings(case, joints)]
     if not case.motion_known:
         readings += gravity_readings(case)
         readings += compensated_gravity_readings(case)

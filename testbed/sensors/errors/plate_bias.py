@@ -14,7 +14,11 @@ from testbed.core.robot.tree import Tree
 from testbed.sensors.kind_table import RANDOM_SIGN, PerAxis
 from testbed.sensors.predicted_wrench import PredictedWrench
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    PlateError,
+    channel_coefficients,
+)
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class PlateBias(PlateError):
 
     kind: ClassVar[str] = "plate_bias"
     term: ClassVar[str] = "bias"
-    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("bias")
+    fixed: ClassVar[tuple[Coefficient, ...]] = channel_coefficients("bias")
     stage: ClassVar[StageOrder] = StageOrder.NOISE
     tested: ClassVar[bool] = False
     of_one_recording: ClassVar[bool] = True
@@ -41,7 +45,7 @@ class PlateBias(PlateError):
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
         """Offsets of the plate's channels, (6,), then of each further force sensor."""
-        cuts = (of_channels(f"{cls.term}/{cut.name}") for cut in tree.cuts)
+        cuts = (channel_coefficients(f"{cls.term}/{cut.name}") for cut in tree.cuts)
         return sum(cuts, cls.fixed)
 
     @classmethod

@@ -11,7 +11,11 @@ from testbed.core.base.arrays import Array
 from testbed.core.recordings.columns import WRENCH_UNITS
 from testbed.sensors.kind_table import RANDOM_SIGN, PerAxis
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    PlateError,
+    channel_coefficients,
+)
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class PlateDrift(PlateError):
 
     kind: ClassVar[str] = "plate_drift"
     term: ClassVar[str] = "slope"
-    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels(
+    fixed: ClassVar[tuple[Coefficient, ...]] = channel_coefficients(
         "slope", [f"{unit}/s" for unit in WRENCH_UNITS]
     )
     stage: ClassVar[StageOrder] = StageOrder.NOISE

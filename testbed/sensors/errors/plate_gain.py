@@ -8,7 +8,11 @@ from typing import Annotated, ClassVar
 from testbed.core.base.arrays import Array
 from testbed.sensors.kind_table import RANDOM_SIGN, PerChannel
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    PlateError,
+    channel_coefficients,
+)
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class PlateGain(PlateError):
     kind: ClassVar[str] = "plate_gain"
     remedy: ClassVar[str] = "calibrate the plate"
     term: ClassVar[str] = "gains"
-    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("gains", [""] * 6)
+    fixed: ClassVar[tuple[Coefficient, ...]] = channel_coefficients("gains", [""] * 6)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     error: Annotated[PerChannel, RANDOM_SIGN] = 0.005
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from testbed.core.robot.tree import Tree
 from testbed.sensors.errors.plate_bias import PlateBias
-from testbed.sensors.systematic_error import Coefficient, of_channels
+from testbed.sensors.systematic_error import Coefficient, channel_coefficients
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class PlateTare(PlateBias):
 
     kind: ClassVar[str] = "plate_tare"
     term: ClassVar[str] = "tare"
-    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("tare")
+    fixed: ClassVar[tuple[Coefficient, ...]] = channel_coefficients("tare")
     of_one_recording: ClassVar[bool] = False
 
     @classmethod

@@ -27,8 +27,11 @@ TimeWindow = tuple[float, float]
 def runs_blueprint(scenes: Sequence[Scene]) -> rrb.Blueprint:
     """Layout for runs: robots on the left, plots over time in tabs on the right.
 
+    Several robots are stacked, and each run has a tab of tabs. The initial time window is that of
+    the first run.
+
     Args:
-        scenes: Runs, displayed side by side.
+        scenes: Runs to display.
     """
     count = len(scenes)
     roots = [run_entity_path(k, count) for k in range(count)]
@@ -49,7 +52,7 @@ def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
     Args:
         name: Name of the run.
         tree: The robot.
-        size: Typical length of the robot [m].
+        size: Length that sets the distance of the camera, such as the reach [m].
     """
     wrench = [
         _time_plot(f"/wrench/{c}", f"{c} [{u}]")
@@ -75,8 +78,8 @@ def motion_blueprint(
     Args:
         name: Name of the motion.
         tree: The robot.
-        size: Typical length of the robot [m].
-        kinds: Kinds of limits, for the titles of the plots.
+        size: Length that sets the distance of the camera, such as the reach [m].
+        kinds: Labels of the kinds of limits, one plot each, for the titles.
         period: Period of the motion [s].
     """
     window = (0.0, period)
@@ -147,11 +150,11 @@ def _layout(
 def _robot_view(
     name: str, size: float, parent: str, content: str = "robot and reaction"
 ) -> rrb.Spatial3DView:
-    """Three-dimensional view of a robot.
+    """Three-dimensional view of a robot, with an initial camera position.
 
     Args:
         name: Name of the run or motion.
-        size: Typical length of the robot [m].
+        size: Length that sets the distance of the camera, such as the reach [m].
         parent: Entity path of the run.
         content: Content of the view, for the title.
     """
@@ -166,7 +169,7 @@ def _robot_view(
 
 
 def _run_tabs(scene: Scene, parent: str) -> rrb.Tabs:
-    """Tabs of a run: wrench, joints and notes."""
+    """Tabs of a run: wrench (if recorded), joint positions and torques, notes."""
     rows: dict[str, list[rrb.View | rrb.Container]] = {"wrench": [], "torque": []}
     for channel in scene.predictions.channels:
         rows[channel.kind].append(_channel_row(scene, channel, parent))
@@ -205,7 +208,10 @@ def _plot_stack(rows: Sequence[rrb.View | rrb.Container], name: str) -> rrb.Cont
 
 
 def _channel_row(scene: Scene, channel: Channel, parent: str) -> rrb.Horizontal:
-    """Row with the plot of a channel's signals and the plot of residuals."""
+    """Row with the plot of a channel's signals and the plot of residuals.
+
+    Without predictions there is no plot of residuals. Only the first channel has a legend.
+    """
     plots = {entity(parent, channel): channel.name}
     if channel.residuals:
         plots[entity(f"{parent}/residual", channel)] = f"{channel.name}: residual"

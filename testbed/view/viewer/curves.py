@@ -26,7 +26,9 @@ MIN_LINE_WIDTH, LINE_WIDTH_STEP = 1.0, 1.4
 
 
 def log_signals(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
-    """Log joint positions, measured and predicted torques and wrench, friction curves.
+    """Log joint positions, and measured and predicted torques and wrench, over time.
+
+    With identified drives, the friction torque of each joint by its friction curve is logged too.
 
     Args:
         stream: Stream of the recording.
@@ -52,7 +54,7 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
 
 
 def log_residuals(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
-    """Log low-pass filtered residuals of torques and wrench.
+    """Log measured minus predicted torques and wrench over time, low-pass filtered.
 
     Args:
         stream: Stream of the recording.
@@ -79,8 +81,8 @@ def log_series(
         path: Entity path of the plot.
         time: Evenly spaced times, (M,) [s].
         curves: Values by label, (M,) each.
-        colours: Colours of the curves; default the colours of the labels, with wider lines for
-            lower curves.
+        colours: Colours of the curves; default the colours of the labels in `COLOURS`, with wider
+            lines for earlier curves, which later curves cover.
     """
     widths = None
     if colours is None:
@@ -115,7 +117,7 @@ def send_values(
 
 
 def interval_extremes(time: Array, values: Array) -> tuple[Array, Array]:
-    """Minimum and maximum of each interval of a signal, in order of time.
+    """Minimum and maximum of signals in intervals of 1 / `INTERVAL_RATE`, in order of time.
 
     The two values are placed at the ends of the interval, which is exact for monotonic signals.
 
@@ -124,7 +126,8 @@ def interval_extremes(time: Array, values: Array) -> tuple[Array, Array]:
         values: Values, (M, k).
 
     Returns:
-        Times, (N,), and values, (N, k); the inputs if intervals have too few samples.
+        Times, (N,), and values, (N, k), with two rows per interval; the inputs if an interval has
+        fewer than `MIN_INTERVAL_SAMPLES` samples.
     """
     last = len(time) - 1
     size = int(last / max((time[-1] - time[0]) * INTERVAL_RATE, 1e-9) + 1e-9)

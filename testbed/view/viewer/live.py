@@ -76,6 +76,9 @@ def serve_viewer(path: Path, port: int) -> NoReturn:
     Args:
         path: The .rrd file.
         port: Port of the web page.
+
+    Raises:
+        ViewerError: The program 'rerun' is not installed.
     """
     web = ["--serve-web", "--web-viewer-port", str(port), "--bind", LOOPBACK]
     _replace_process(["rerun", str(path), *web])
@@ -86,6 +89,9 @@ def _replace_process(command: list[str]) -> NoReturn:
 
     Args:
         command: Arguments of the program, with its name first.
+
+    Raises:
+        ViewerError: The program is not installed.
     """
     program = viewer_program()
     if program is None:
@@ -127,15 +133,18 @@ DEFAULT_PORT = 9876
 
 
 class LiveViewer:
-    """Sender of a running simulation to an open viewer.
+    """Callback that sends a running simulation to an open Rerun viewer.
 
-    It is called once for every second of the simulation.
+    The simulation calls it with consecutive blocks of samples. Poses and arrows are sent at
+    `POSE_RATE`, wrench, torques and positions with all samples.
     """
 
     def __init__(
         self, name: str, appearance: Appearance, port: int = DEFAULT_PORT
     ) -> None:
         """Connect to a viewer on this computer, and display the robot.
+
+        Arrow lengths are scaled by the robot's weight, of at least 1e-3 kg at 1 m/s^2.
 
         Args:
             name: Name of the run.
@@ -177,11 +186,14 @@ class LiveViewer:
         self._flush()
 
     def __call__(self, time: Array, truth: Truth) -> None:
-        """Send a part of the simulation.
+        """Send a block of samples of the simulation, and wait for the viewer.
 
         Args:
             time: Times, (M,) [s]; samples before zero are not sent.
             truth: True positions, wrench and torques at these times.
+
+        Raises:
+            ViewerError: The viewer did not receive the data within `FLUSH_TIMEOUT`.
         """
         is_recorded = time >= 0
         if not is_recorded.any():
@@ -217,7 +229,7 @@ class LiveViewer:
         """Wait until the viewer has received all data.
 
         Raises:
-            ViewerError: The viewer did not receive the data in time.
+            ViewerError: The viewer did not receive the data within `FLUSH_TIMEOUT`.
         """
         try:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT)

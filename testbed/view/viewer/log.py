@@ -98,7 +98,7 @@ def write_motion_rrd(
 
 
 def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Shape, ...]) -> None:
-    """Log the boxes of the robot's cell."""
+    """Log the obstacles, boxes along the world axes, as "/world/obstacles"."""
     if not obstacles:
         return
     boxes = rr.Boxes3D(
@@ -123,7 +123,7 @@ def _log_motion_curves(
         rules: Limits of the motion.
         motion: The motion.
         times: Instants, (M,) [s].
-        margins: Margins over time by kind of limit.
+        margins: Smallest margin over time, one entry per kind of limit.
     """
     for k, kind in enumerate(margins):
         log_series(
@@ -138,7 +138,7 @@ def _log_motion_curves(
 
 
 def _motion_notes(name: str, rules: MotionConstraints, proof: Proof) -> str:
-    """Markdown notes of a motion: verdict, table of margins, diagnostics."""
+    """Markdown notes of a motion: result of the proof, table of margins, diagnostics."""
     verdict = (
         "Proven at every moment."
         if proof.is_valid
@@ -176,7 +176,8 @@ def _recording_stream(
 ) -> Iterator[rr.RecordingStream]:
     """Context manager of a stream in memory, written to a file at the end.
 
-    Rerun's file writer is not used: it blocks on a full disk.
+    After an error in the block, no file is written. Rerun's file writer is not used: it blocks on a
+    full disk.
 
     Args:
         path: The .rrd file; appears complete or not at all.
@@ -220,8 +221,8 @@ def view(
     """Open the Rerun viewer with a robot, measured signals and predictions by estimates.
 
     Args:
-        data: A recording; or runs, or folders of runs.
-        estimates: Estimates of the recording's robot.
+        data: A recording; or a run, its folder, or a sequence of these.
+        *estimates: Estimates of the recording's robot; ignored for runs.
         path: The .rrd file to write without opening the viewer; default a temporary file, which the
             viewer displays while Python continues.
 

@@ -25,7 +25,7 @@ MAX_ARROW_SHARE = 0.5
 
 
 def clock(time: Array) -> rr.TimeColumn:
-    """Column of the timeline.
+    """Column of times for Rerun, on the timeline `TIMELINE`.
 
     Args:
         time: Times, (M,) [s].
@@ -58,12 +58,12 @@ def log_tip_paths(
     body_poses: list[Transform],
     parent: str,
 ) -> None:
-    """Log the paths of the robot's tips.
+    """Log the paths of the robot's tips (points of the terminal bodies) as lines.
 
     Args:
         stream: Stream of the recording.
-        appearance: Shapes of the robot.
-        body_poses: Poses of the bodies over time.
+        appearance: Shapes of the robot, with the tip points.
+        body_poses: Poses of all bodies in the world at M instants.
         parent: Entity path of the world.
     """
     for j, point in appearance.tip_points.items():
@@ -78,7 +78,8 @@ def log_tip_paths(
 def log_ellipsoids(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
     """Log links as ellipsoids of uniform density: model file, estimate, and truth if known.
 
-    Nothing is logged for a run without consistent bodies.
+    An ellipsoid has the mass, centre of mass and inertia of its link; impossible bodies are left
+    out. Nothing is logged for a run without consistent bodies.
 
     Args:
         stream: Stream of the recording.
@@ -150,7 +151,7 @@ def send_poses(
     q: Array,
     parent: str,
 ) -> list[Transform]:
-    """Send the poses of all bodies over time, and return these poses.
+    """Send the poses of all bodies in the world over time, and return these poses.
 
     Args:
         stream: Stream of the recording.
@@ -158,6 +159,9 @@ def send_poses(
         time: Times, (M,) [s].
         q: Joint positions, (M, n) [rad or m].
         parent: Entity path of the world.
+
+    Returns:
+        Pose of each body at all M instants, n transforms.
     """
     body_poses = poses(appearance.tree, q)
     for j, X_WB in enumerate(body_poses):
@@ -186,7 +190,7 @@ def send_arrows(
         stream: Stream of the recording.
         appearance: Shapes of the robot and its plate.
         time: Times, (M,) [s].
-        wrench: Wrench in world axes, (M, 6) [N, N m].
+        wrench: Measured wrench, force first, along world axes, (M, 6) [N, N m].
         scales: Arrow lengths of a newton and of a newton metre, (2,) [m].
         parent: Entity path of the bedplate.
         places: Origins of the arrows, (M, 3) [m]; default a point beside the plate.
@@ -206,7 +210,9 @@ def send_arrows(
 def log_wrench(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
     """Log the measured wrench as arrows, and the centre of pressure on a plate.
 
-    The arrows are at the sensor, or beside the plate. Nothing is logged without a wrench.
+    The arrows are at the sensor, or beside the plate, and show block means at the rate of poses;
+    the largest force and moment have `MAX_ARROW_SHARE` of the reach. Nothing is logged without a
+    wrench.
 
     Args:
         stream: Stream of the recording.
@@ -239,7 +245,8 @@ def _log_pressure(
 ) -> None:
     """Log the centre of pressure and its trace on the plate's upper side.
 
-    Points far from the robot are omitted.
+    Points are omitted, and the trace interrupted, where a coordinate exceeds three times the
+    plate's clear corner or the robot's reach, whichever is larger.
 
     Args:
         stream: Stream of the recording.
@@ -272,7 +279,7 @@ def _log_pressure(
 
 
 def _rerun_archetype(shape: Shape) -> Any:
-    """Rerun archetype of a shape."""
+    """Rerun archetype of a shape in its body frame: mesh, box, ellipsoid, cylinder or capsule."""
     colour = [(np.clip(shape.colour, 0, 1) * 255).astype(np.uint8)]
     if shape.kind == "mesh":
         vertices = shape.vertices @ shape.rotation.T + shape.position

@@ -53,24 +53,27 @@ class Scene:
 
     @property
     def motion(self) -> Motion:
-        """Motion of the recording without the ends lost to filters."""
+        """Filtered motion of the recording, without the ends lost to filters."""
         return self.predictions.motion
 
     @property
     def pose_samples(self) -> slice:
-        """Samples of the motion with displayed poses."""
+        """Samples of the motion at which poses are displayed, about `POSE_RATE` per second."""
         return slice(
             0, self.motion.samples, max(1, round(self.run.recording.rate / POSE_RATE))
         )
 
     @cached_property
     def smoothed_predictions(self) -> Predictions:
-        """Predictions and measured signals through a low-pass."""
+        """Predictions and measured signals, low-pass filtered at `RESIDUAL_CUTOFF`."""
         return self.predictions.smoothed(RESIDUAL_CUTOFF)
 
     @cached_property
     def wrench(self) -> Array | None:
-        """Measured wrench over the motion, (M, 6) [N, N m]; None without a wrench."""
+        """Measured wrench over the motion, (M, 6) [N, N m]; None if not recorded.
+
+        Force first; by the plate about the bedplate's origin, by a force sensor in its frame.
+        """
         channels = self.predictions.channels
         columns = [each.measured for each in channels if each.kind == "wrench"]
         return np.column_stack(columns) if columns else None
@@ -90,7 +93,7 @@ class Scene:
 
     @cached_property
     def notes(self) -> str:
-        """Markdown notes of a run: summary, claim, tables of drives and instruments, warnings."""
+        """Markdown notes of a run: summary, claim, tables of drives and sensors, diagnostics."""
         run = self.run
         summary_lines = [line for line in (*summary(run), claim_verdict(run)) if line]
         lines = [
@@ -176,10 +179,10 @@ def escaped_markdown(text: str) -> str:
 def pressure(wrench: Array) -> Array:
     """Centre of pressure on the bedplate's plane z = 0, (M, 2) [m].
 
-    nan where the vertical force is below a share of the largest force.
+    nan where Fz is below `MIN_PRESSING_SHARE` of the largest force component over time.
 
     Args:
-        wrench: Wrench of the bedplate on the robot, (M, 6) [N, N m].
+        wrench: Wrench of the bedplate on the robot, about the bedplate's origin, (M, 6) [N, N m].
     """
     fz = wrench[:, 2]
     is_pressed = fz > MIN_PRESSING_SHARE * np.abs(wrench[:, :3]).max(initial=1e-9)

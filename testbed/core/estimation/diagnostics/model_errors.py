@@ -74,7 +74,7 @@ def repetition_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         float(repeatable.share[largest_channel]),
         method=estimate.method,
         level="warning" if estimate.model_errors else None,
-        causes=["encoder-steps"] * noise.steps_matter,
+        causes=["encoder-steps"] * noise.quantization_matters,
         again=repeatable.repetition_text,
         chance=chance_text(repeatable.chance),
         channel=estimate.label(largest_channel),

@@ -49,7 +49,7 @@ def _encoder_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diag
         yield make_diagnostic(
             "encoder.noise", shortened_list(noise.noise_limited), method=estimate.method
         )
-    if noise.steps_matter:
+    if noise.quantization_matters:
         steps = zip(estimate.joints, noise.least_counts, strict=True)
         coarse = shortened_list(
             [f"'{name}' ({count:.3g} a step)" for name, count in steps if count]

@@ -86,7 +86,7 @@ class AveragedFit:
         fit: Estimates of the unknowns, then of the constants; noise of the likelier model.
         fit_function: Function that computed either fit.
         directions: Combinations of the channels with a constant offset, (C, k).
-        imitating_unknowns: Unknowns with the same effect as the other offsets, (C - k, m).
+        collinear_unknowns: Unknowns with the same effect as the other offsets, (C - k, m).
         correction: Attenuation correction of the fit without constants; None if columns have no
             noise.
         weight: Weight of the model with constants, 0 to 1.
@@ -96,7 +96,7 @@ class AveragedFit:
     fit: NoiseFit
     fit_function: FitFunction
     directions: Array
-    imitating_unknowns: Array
+    collinear_unknowns: Array
     correction: AttenuationCorrection | None = None
     weight: float = 0.0
     chi_square: float = 0.0
@@ -131,16 +131,16 @@ def averaged_fit(
     correction = None if noise is None else correct_attenuation(plain, noise)
     if correction is not None:
         plain = correction.fit
-    no_directions, imitating_unknowns = (
+    no_directions, collinear_unknowns = (
         np.zeros((products.products.shape[1], 0)),
         np.zeros((0, products.unknowns)),
     )
     if gapless:
-        directions, imitating_unknowns = identifiable_constants(products)
+        directions, collinear_unknowns = identifiable_constants(products)
     # smallest number of rows for the estimation of constants
     if not gapless or products.rows < 50 or not directions.shape[1]:
         return AveragedFit(
-            plain, fit_function, no_directions, imitating_unknowns, correction
+            plain, fit_function, no_directions, collinear_unknowns, correction
         )
     (extended,) = whitened_fits(products.with_constants(directions))
     if noise is not None:
@@ -158,7 +158,7 @@ def averaged_fit(
         fit,
         fit_function,
         directions,
-        imitating_unknowns,
+        collinear_unknowns,
         correction,
         weight,
         float(square),
@@ -399,7 +399,7 @@ def _noise_model(
         bias_weight=average.weight,
         span=plan.source.samples / plan.source.rate,
         hidden=_flagged_names(
-            _large_components(average.imitating_unknowns @ robot.T), names
+            _large_components(average.collinear_unknowns @ robot.T), names
         ),
         noise_limited=_flagged_names(limited_flags, names),
         least_counts=solution.encoders.least_counts,

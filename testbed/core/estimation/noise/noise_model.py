@@ -140,7 +140,7 @@ class NoiseModel:
     by_counts: float = 0.0
 
     @property
-    def steps_matter(self) -> bool:
+    def quantization_matters(self) -> bool:
         """True if quantisation causes more than 5 % of the whitened residuals' squares."""
         # part of the whitened residuals' squares above which there is a warning
         return self.by_counts > 0.05

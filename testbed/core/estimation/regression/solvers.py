@@ -83,7 +83,7 @@ class Fit:
     condition: float
 
 
-def raise_unseen_parameters(
+def raise_unidentifiable_parameters(
     names: Sequence[str], directions: Array, rows: int
 ) -> NoReturn:
     """Raise UnidentifiableParameters with the names of the unknowns in undetermined directions.
@@ -135,7 +135,7 @@ def solve_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
         eigenvalues <= len(eigenvalues) * np.finfo(float).eps * eigenvalues[-1]
     )
     if undetermined.any():
-        raise_unseen_parameters(
+        raise_unidentifiable_parameters(
             [equations.unknowns[k] for k in nonzero],
             directions[:, undetermined].T,
             rows,
@@ -173,7 +173,7 @@ def solve_by_qr(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
     # singular values of the scaled equations below this share of the largest count as zero
     undetermined = singular_values <= 1e-10 * singular_values[0]
     if undetermined.any():
-        raise_unseen_parameters(
+        raise_unidentifiable_parameters(
             equations.unknowns, directions[undetermined], equations.rows
         )
     root = linalg.inv(triangle[:p, :p]) / scale[:, None]

@@ -357,7 +357,7 @@ class Plan:
             start=self.reach,
             step=self.step,
             row_count=window.rows,
-            covariates=self._varying(part, window) if inputs else EMPTY_MATRIX,
+            covariates=self._covariates(part, window) if inputs else EMPTY_MATRIX,
             load=EMPTY_VECTOR if self.load is None else self.load,
             sample_mask=self._sample_mask(window.first, part.samples),
         )
@@ -377,7 +377,7 @@ class Plan:
         excluded = np.cumsum(changes[:-1], axis=0) > 0
         return np.where(excluded, 0.0, 1.0) if excluded.any() else EMPTY_MATRIX
 
-    def _varying(self, part: Recording, window: Window) -> Array:
+    def _covariates(self, part: Recording, window: Window) -> Array:
         """Time since the source's middle [s], and drive temperatures above 25 degC, (M, 1 + n).
 
         Temperatures that were not recorded are zero.

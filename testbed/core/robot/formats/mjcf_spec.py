@@ -96,7 +96,7 @@ def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]
 
 
 def mjcf_joint_travels(path: Path) -> dict[str, JointTravel]:
-    """Mimic masters of hinge and slide joints of an MJCF file, by name; no ranges, no polynomials."""
+    """Master joints of hinge and slide joints by name, without ranges and polynomials."""
     spec = parse_mjcf(path)
     couplings, _ = _remove_couplings(spec)
     followers = {

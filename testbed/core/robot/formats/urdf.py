@@ -152,7 +152,7 @@ def _links(
 
 
 def _link_inertia(link: ET.Element) -> Inertia:
-    """Inertia of a link as stated in the file, about and along its frame; zero if not stated."""
+    """Stated inertia of a link, about and along the link's frame; zero if missing."""
     inertial = link.find("inertial")
     if inertial is None:
         return ZERO_INERTIA
@@ -277,7 +277,7 @@ def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
 
 
 def _kind_and_axis(model: pin.Model, j: int) -> tuple[JointKind, np.ndarray]:
-    """Kind and unit axis (3,) in the body's frame of joint j, from Pinocchio's motion subspace."""
+    """Kind and unit axis (3,) of a joint in the body's frame, from Pinocchio's subspace."""
     linear, angular = np.split(np.ravel(model.joints[j].createData().S), 2)
     revolute = np.linalg.norm(angular) > 0.5
     return ("revolute", angular.copy()) if revolute else ("prismatic", linear.copy())
@@ -289,7 +289,7 @@ def _inertia_of(inertia: pin.Inertia) -> Inertia:
 
 
 def _first_parser_error(stderr_text: str, exception_text: str) -> str:
-    """First error message of the parser, on one line of at most 400 characters and a prefix.
+    """First error message of the parser, prefixed, on one line of limited length.
 
     Args:
         stderr_text: Standard error of the parser, searched for "Error:".

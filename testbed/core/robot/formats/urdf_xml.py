@@ -155,7 +155,7 @@ def checked_urdf_xml(
 def _checked_xml(
     path: Path, weld_root: bool, keep_visuals: bool = False
 ) -> tuple[ET.Element, list[Diagnostic]]:
-    """Root element of a URDF file with the links and joints, checked to form one tree.
+    """Root element of a URDF file with links and joints, checked to form a tree.
 
     Numbers are in plain form; unused elements and accepted faults are removed, with diagnostics,
     the second result. Errors are those of `load_tree`.
@@ -236,7 +236,7 @@ def _correct_faults(element: ET.Element) -> Iterator[Diagnostic]:
 
 
 def urdf_joint_travels(path: Path) -> dict[str, JointTravel]:
-    """Range and mimic coupling of every moving joint of a URDF file, by name; no limits: inf."""
+    """Range and mimic coupling of every moving joint of a URDF file, by name."""
     root, _ = _checked_xml(path, weld_root=True)
     return _travels(root.findall("joint"))
 
@@ -352,7 +352,7 @@ def _remove_unused_elements(
 def _carriers(
     links: list[ET.Element], joints: list[ET.Element]
 ) -> dict[str, ET.Element]:
-    """Joint that carries each link, by link name; a ModelError if the links form no single tree."""
+    """Joint that carries each link, by link name; ModelError unless links form one tree."""
     for what, elements in (("link", links), ("joint", joints)):
         names = [element.get("name", "") for element in elements]
         if "" in names:
