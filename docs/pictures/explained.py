@@ -269,7 +269,7 @@ def short(more: list[str]) -> tb.Experiment:
 def save_errors() -> None:
     """Table 6 by plate and by torques."""
     run = tb.carry_out(tb.Experiment.from_toml(EXPERIMENT))
-    width, height, parts = error_dots(coefficients_by_error(run), METHODS)
+    width, height, parts = error_dots(errors_of_run(run), METHODS)
     save("errors", width, height, parts, "Relative errors of the nine parameters that both "
          "identify: by the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip
 
@@ -291,7 +291,7 @@ def save_overview() -> None:
          "7 %")  # fmt: skip
 
 
-def coefficients_by_error(run: Any) -> dict[str, dict[str, float]]:
+def errors_of_run(run: Any) -> dict[str, dict[str, float]]:
     """Relative errors in percent of the inertial parameters, by parameter and method.
 
     Args:

@@ -71,8 +71,7 @@ class PayloadOutputOptions:
             tree: The robot, possibly with locked joints.
 
         Returns:
-            The link; `body` is -1 if its joint is locked or it belongs to the root. None without
-            --flange; --as is checked first in any case.
+            The link; `body` is -1 if the tree lacks the joint that moves it. None without --flange.
 
         Raises:
             SettingsError: --flange is given without --as.

@@ -345,7 +345,8 @@ def _load_run(path: Path, reading: ReadingOptions, *, consistent: bool = False) 
 def _similar_run_hint(path: Path) -> str:
     """Hint at runs whose names begin with the name of a missing path.
 
-    At most three folders or recordings, sorted by name; "" if there are none. The default name of a run folder ends in a hash.
+    At most three folders or recordings, sorted by name; "" if there are none. The default name of a
+    run folder ends in a hash.
     """
     if not path.name or not path.parent.is_dir():
         return ""

@@ -384,7 +384,7 @@ class ReadingOptions:
         return self
 
     def with_sensors(self, source: Source, *, alone: bool = False) -> ReadingOptions:
-        """Options with the recording's force sensors, over which existing `sensors` take precedence.
+        """Options with the recording's force sensors, unless `sensors` has one of that name.
 
         A single sensor becomes --sensor (if not given) in a recording without plate and torques.
 

@@ -27,9 +27,10 @@ class Distances:
     """Distances of all watched pairs of bodies, by posture.
 
     Attributes:
-        values: Distances, (..., k) [m]; at most the largest computed distance, negative for
-            overlap.
-        slopes: Derivatives by the joint positions, (..., k, n); zero beyond the largest distance.
+        values: Distances of the k pairs, (..., k) [m]; at most the largest computed distance,
+            negative for overlap.
+        slopes: Derivatives with respect to the n joint positions, (..., k, n); zero beyond the
+            largest computed distance.
     """
 
     values: Array
@@ -51,7 +52,7 @@ class DistanceMeter:
 
         Args:
             collision: Shapes and watched pairs.
-            max_distance: Largest distance that is computed, of each pair or of all [m].
+            max_distance: Largest distance that is computed [m]; of several values the largest.
         """
         self.collision, self.max_distance = (
             collision,
@@ -68,6 +69,8 @@ class DistanceMeter:
 
     def measure(self, q: Array, *, slopes: bool = False) -> Distances:
         """Compute distances of all watched pairs in postures.
+
+        A pair's distance is the smallest of its shapes' distances, at most `max_distance`.
 
         Args:
             q: Joint positions, (..., n) [rad or m].
@@ -101,7 +104,10 @@ class DistanceMeter:
         mujoco.mj_comPos(self.collision.model, self._data)
 
     def _bounds(self) -> Array:
-        """Lower bounds of the distances of pairs of shapes by bounding spheres [m]."""
+        """Lower bounds of the distances of all pairs of shapes by bounding spheres, (s,) [m].
+
+        Bounds to the floor's plane use the height above the plane.
+        """
         first, second = self._data.geom_xpos[self._geoms]
         displacement = second - first
         centre_distance = np.where(
@@ -125,9 +131,10 @@ class DistanceMeter:
         return distance, points.reshape(2, 3)
 
     def _slopes(self, k: int, distance: float, points: Array) -> Array:
-        """Derivatives of a pair's distance by the joint positions, (n,).
+        """Derivatives of a pair's distance with respect to the joint positions, (n,).
 
-        Difference of both points' Jacobians along the line between the points.
+        Difference of both points' Jacobians along the line between the points; zero for points
+        closer than 1 nm, where the direction is undefined.
 
         Args:
             k: Index of the pair of shapes.
@@ -167,13 +174,13 @@ class ClearanceTerm:
         self._last_distances = self._meter.measure(np.zeros((0, 0)))
 
     def values(self, samples: MotionSamples) -> Array:
-        """Missing distances divided by `CLEARANCE_UNIT`, (k, G); negative where kept."""
+        """Missing distances over `CLEARANCE_UNIT`, (k, G); negative where respected."""
         return (
             self._clearance[:, None] - self._distances(samples.motion.q).values.T
         ) / CLEARANCE_UNIT
 
     def slopes(self, samples: KernelForces) -> Array:
-        """Derivatives of the values by q, then qd, then qdd, (k, 3 n, G)."""
+        """Derivatives of the values with respect to q, then qd, then qdd, (k, 3 n, G)."""
         by_q = (
             -self._distances(samples.motion.q).slopes.transpose(1, 2, 0)
             / CLEARANCE_UNIT
@@ -181,7 +188,7 @@ class ClearanceTerm:
         return np.concatenate([by_q, np.zeros_like(by_q), np.zeros_like(by_q)], axis=1)
 
     def _distances(self, postures: Array) -> Distances:
-        """Distances in postures, (G, n); the last result is cached."""
+        """Distances in postures, (G, n), with derivatives; the last result is cached."""
         if not np.array_equal(self._last_postures, postures):
             self._last_postures = postures
             self._last_distances = self._meter.measure(postures, slopes=True)

@@ -73,10 +73,11 @@ class CollisionModel:
         )
 
     def without_pairs(self, pairs: Iterable[tuple[str, str]]) -> CollisionModel:
-        """Collision model without some pairs of bodies.
+        """Collision model without given pairs of bodies.
 
         Args:
-            pairs: Names of the bodies of each excluded pair.
+            pairs: Names of the bodies of each excluded pair, in any order; fixed bodies as in
+                `FIXED_BODY_NAMES`.
 
         Raises:
             UnknownName: There is no body with a given name.
@@ -97,7 +98,7 @@ class CollisionModel:
         """Collision model with the selected pairs only.
 
         Args:
-            watched: True for each selected pair.
+            watched: True for each selected pair, in the order of `pairs`.
         """
         pairs = tuple(compress(self.pairs, watched))
         return replace(self, pairs=pairs, geoms=tuple(compress(self.geoms, watched)))
@@ -109,7 +110,10 @@ def collision_model(
     obstacles: Sequence[Shape] = (),
     floor: float | None = None,
 ) -> CollisionModel:
-    """Build the collision model of a robot and its obstacles.
+    """Build the collision model of a robot, obstacles and a floor, with all pairs watched.
+
+    Pairs are those of two bodies of which one moves and that no joint connects; a first body of the
+    robot is not paired with the floor. Meshes are replaced by their convex hulls, flat ones dropped.
 
     Args:
         tree: The robot.
@@ -153,9 +157,10 @@ def _add_bodies(spec: mujoco.MjSpec, tree: Tree) -> list[mujoco.MjsBody]:
 def _collision_pairs(
     tree: Tree, owners: Sequence[int]
 ) -> dict[tuple[int, int], NDArray[np.int64]]:
-    """Shape pairs by pair of bodies that can collide.
+    """Shape pairs, (2, k), by pair of bodies that can collide.
 
-    At least one body of a pair moves, and no joint connects the two.
+    At least one body of a pair moves, and no joint connects the two; a body carried by the bedplate
+    is not paired with the floor. Keys and shapes have the lower body index first.
 
     Args:
         tree: The robot.
@@ -201,7 +206,7 @@ def _add_shape(
 
 
 def _convex_hull(vertices: Array) -> tuple[Array, NDArray[np.int64]] | None:
-    """Vertices and triangles of the convex hull; None for flat meshes."""
+    """Vertices (v, 3) and triangles (f, 3) of the convex hull; None for flat meshes."""
     from scipy.spatial import ConvexHull, QhullError  # half a second to import
 
     try:
@@ -241,7 +246,7 @@ def distance_rate_bounds(collision: CollisionModel, limits: Limits) -> Array:
 
 
 def _reaches(collision: CollisionModel) -> dict[int, float]:
-    """Largest distance of a moving body's shapes from its origin, by body index [m]."""
+    """Largest distance of the shapes of a moving body from the body's origin, by body index [m]."""
     model = collision.model
     reaches: dict[int, float] = {}
     for (a, b), geoms in zip(collision.pairs, collision.geoms, strict=True):

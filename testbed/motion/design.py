@@ -49,10 +49,10 @@ class DesignProblem:
 
     Attributes:
         rules: Limits that the motion respects.
-        information: Unknowns and criterion; the prior is a share of one sample.
+        information: Unknowns and criterion; the prior is in units of one sample.
         rows: Sampled rows of the models that rules and information need.
         pipeline: Filters and duration of the recording to be made.
-        frequencies: Fundamental [Hz] and number of harmonics of the series allowed.
+        frequencies: Fundamentals [Hz] and numbers of harmonics, used by the searches in turn.
         search_count: Number of searches.
         seed: Seed of the random motions that searches start from.
     """
@@ -67,7 +67,7 @@ class DesignProblem:
 
     @cached_property
     def centre_posture(self) -> Array:
-        """Posture about which the last initial motions are tried, (n,) [rad or m]."""
+        """Posture about which the second half of the initial motions is tried, (n,) [rad or m]."""
         return rest_posture(self.rules)
 
 
@@ -77,7 +77,8 @@ class Design:
 
     Attributes:
         motion: The motion.
-        value: Criterion for one sample: exp(value / 2) is a relative standard deviation.
+        value: Criterion, a log variance, for one sample: exp(value / 2) is a relative standard
+            deviation.
         proof: Margins of all limits.
         searches: Number of searches made.
         is_complete: True if all searches were made without interruption.
@@ -138,7 +139,11 @@ def criterion(problem: DesignProblem, motion: Fourier) -> float:
 
 
 class _SearchProgress:
-    """Criterion of the searches by step, and decision to stop a search."""
+    """Criteria of the searches by step, and decision to stop a search.
+
+    A search ends on interruption, or after MIN_STEPS if its criterion exceeds that of the best
+    search at the same step by MAX_CRITERION_LAG.
+    """
 
     def __init__(
         self, starts: int, watch: SearchCallback, interrupted: Callable[[], bool]
@@ -177,7 +182,9 @@ class _SearchProgress:
 def _search_problem(
     problem: DesignProblem, fundamental: float, harmonics: int
 ) -> InteriorPointProblem:
-    """Optimisation problem for given frequencies.
+    """Optimisation problem for a given fundamental and number of harmonics.
+
+    Clearances are increased by EXTRA_CLEARANCE_SHARE, at least MIN_EXTRA_CLEARANCE, for the proof.
 
     Args:
         problem: Design problem.
@@ -249,7 +256,7 @@ def _initial_search(
 def _scaled_motions(
     series: Series, rng: np.random.Generator, centre: Array | None
 ) -> Iterator[Fourier]:
-    """Random motion with decreasing amplitudes, about a centre posture if given.
+    """Yield a random motion with amplitudes decreasing by AMPLITUDE_SHARES.
 
     Args:
         series: Frequencies and limits.
@@ -267,7 +274,10 @@ def _scaled_motions(
 def _first_feasible(
     search: InteriorPointProblem, motions: Iterable[Fourier]
 ) -> Array | None:
-    """Unknowns of the first motion strictly inside all limits, (n p,); None without any."""
+    """Unknowns of the first motion strictly inside all limits, (n p,); else None.
+
+    n joints with p unknowns each; the criterion must be finite, too.
+    """
     unknowns = (search.series.unknowns(motion) for motion in motions)
     return next((x for x in unknowns if search.evaluate(x).is_feasible), None)
 
@@ -275,7 +285,9 @@ def _first_feasible(
 def _first_proven(
     rules: MotionConstraints, motions: Iterable[Fourier]
 ) -> tuple[Fourier, Proof]:
-    """First motion with a proof, amplitudes being reduced slightly if necessary.
+    """First motion with a proof, and the proof; amplitudes are reduced if necessary.
+
+    Shares of PROOF_SHARES are tried for the first motion, then for the second, and so on.
 
     Args:
         rules: Limits of the motion.

@@ -28,8 +28,8 @@ class Excitation(Diagnosed):
         problem: Limits, unknowns and instruments of the design.
         design: The motion and its proof.
         predicted: Standard deviations of the parameters with the designed motion.
-        random: Standard deviations with a random motion; None without such a motion.
-        candidates: Number of random motions from which that motion is the best.
+        random: Standard deviations with a random motion; None without random motion.
+        candidates: Number of random motions of which the random motion is the best.
     """
 
     problem: DesignProblem
@@ -77,7 +77,7 @@ class Excitation(Diagnosed):
 
     @property
     def beside_random(self) -> str:
-        """Phrase that compares the designed motion with the random motion."""
+        """Phrase comparing the rms relative sigmas of designed and random motion, for reports."""
         origin = f"the best of {self.candidates} random motions"
         if self.random is None:
             return "no random motion within the limits was found for comparison"
@@ -104,13 +104,14 @@ def excite(
     watch: SearchCallback = ignore_progress,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Excitation:
-    """Design a motion, and predict its precision and the precision of a random motion.
+    """Design a motion, and predict the standard deviations with this and a random motion.
 
     Args:
         problem: Limits, unknowns and instruments.
         random: Random motion for comparison; None for no comparison.
-        candidates: Number of random motions from which that motion is the best.
-        watch: Called after every step of a search, with the relative sigma of the best motion.
+        candidates: Number of random motions of which `random` is the best.
+        watch: Called after every step of a search, with the relative sigma, for the whole
+            recording, of the best motion in place of the criterion.
         interrupted: Called after every step; True stops with the best motion so far.
 
     Raises:

@@ -75,7 +75,10 @@ class Fourier(Value):
         return self.bound(5)
 
     def bound(self, order: int) -> Array:
-        """Upper bound of an absolute derivative, (n,) [rad/s^order or m/s^order]."""
+        """Upper bound of the absolute derivative of an order, (n,) [rad/s^order or m/s^order].
+
+        Sum of the harmonics' amplitudes; for order 0 with the offset.
+        """
         frequencies = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
         constant = 0.0 if order else np.abs(self.offset)
         return np.asarray(
@@ -83,7 +86,7 @@ class Fourier(Value):
         )
 
     def derivative(self, t: Array, order: int) -> Array:
-        """Derivative of the positions at times t, (M, n) [rad/s^order or m/s^order]."""
+        """Derivative of the positions of any order at times t, (M, n) [rad or m, s^-order]."""
         return (
             fourier_basis(self.fundamental, self.harmonics, t, order)
             @ self.coefficients.T
@@ -126,7 +129,9 @@ class Fourier(Value):
 def fourier_basis(
     fundamental: float, harmonics: int, t: Array, order: int = 0
 ) -> Array:
-    """Basis functions of a derivative at times t, (M, 2 harmonics + 1).
+    """Fourier basis functions or a derivative of them at times t, (M, 2 harmonics + 1).
+
+    Columns are the constant, the sines and the cosines.
 
     Args:
         fundamental: Fundamental frequency [Hz].

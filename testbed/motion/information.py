@@ -20,7 +20,7 @@ from testbed.motion.fourier import Fourier
 from testbed.motion.samples import MIN_RELATIVE_SCALE, KernelForces, SampledRows
 
 Criterion: TypeAlias = Callable[[Array], tuple[float, Array]]
-"""Function of a covariance C, (N, N): value, and derivative by C, (N, N)."""
+"""Function of a covariance C, (N, N): value, and derivative with respect to C, (N, N)."""
 
 CriterionName = Literal["a", "d", "e"]
 
@@ -43,7 +43,10 @@ def d_optimal(covariance: Array) -> tuple[float, Array]:
 
 
 def e_optimal(covariance: Array) -> tuple[float, Array]:
-    """E-optimality: log of the smoothed largest eigenvalue, and derivative by the covariance."""
+    """E-optimality: log of the smoothed largest eigenvalue, and derivative by the covariance.
+
+    The largest eigenvalue is replaced by the NORM_ORDER-norm mean of all eigenvalues.
+    """
     values, axes = eigh(covariance)
     share = np.maximum(values, 0.0) / values[-1]
     total = float(np.sum(share**NORM_ORDER))
@@ -71,10 +74,13 @@ SIGN_SMOOTHING_SPEED = 0.05
 class RegressorRows:
     """Regressor rows of one signal on the unknowns of the design.
 
+    The U unknowns are the N base parameters, relative to their scales, and, with joint torques, n
+    dry and n viscous friction coefficients.
+
     Attributes:
         model: Signal of the rows.
-        slots: Slots of each channel.
-        lead: Matrix from each channel's slots to the unknowns, (s, U).
+        slots: Slots of each channel (`SampledRows`).
+        lead: Matrix from each channel's s slots to the unknowns, (s, U).
         weights: Inverse noise variance of each channel, (channels,).
         friction: Index of the first dry friction coefficient among the unknowns, viscous
             coefficients following; None for the plate, which does not measure friction.
@@ -87,7 +93,7 @@ class RegressorRows:
     friction: int | None
 
     def rows(self, samples: KernelForces) -> list[Array]:
-        """Rows of each channel on all unknowns, (G, U) each."""
+        """Regressor rows of each channel on all unknowns at G instants, (G, U) each."""
         slots, speeds = samples.slots[self.model][:, 0], samples.motion.qd
         rows = [
             slots[channel_slots].T @ lead
@@ -107,6 +113,8 @@ class RegressorRows:
 @dataclass(frozen=True, eq=False)
 class DesignObjective:
     """Objective of a design: parameters to identify, rows, prior and criterion.
+
+    Unknowns are those of `RegressorRows`.
 
     Attributes:
         names: Names of the base parameters, which are the first unknowns; friction is a nuisance.
@@ -132,8 +140,9 @@ class DesignObjective:
 
         Args:
             samples: Instants; of one period, if `harmonics` is given.
-            counted: True where a joint's row is counted, (G, n); default all.
-            harmonics: Number of harmonics of the plate's rows that are counted; default all.
+            counted: True where a joint's torque row is counted, (G, n); default all.
+            harmonics: Number of harmonics to which the plate's rows are low-pass filtered; default
+                no filter.
         """
         total = np.zeros_like(self.prior)
         for part in self.parts:
@@ -153,7 +162,10 @@ class DesignObjective:
         return np.inf if covariance is None else CRITERIA[self.criterion](covariance)[0]
 
     def slopes(self, samples: KernelForces) -> Array:
-        """Derivatives of the criterion by q, then qd, then qdd of every instant, (3 n, G)."""
+        """Derivatives of the criterion by q, then qd, then qdd of every instant, (3 n, G).
+
+        All unknowns must be identifiable, and `samples` need a stencil.
+        """
         covariance = _scaled_inverse(self.matrix(samples) + self.prior)
         assert covariance is not None
         assert samples.stencil is not None
@@ -186,7 +198,7 @@ class DesignObjective:
     def covariance(self, information: Array) -> Array | None:
         """Covariance of the relative errors of the base parameters, (N, N).
 
-        None if an unknown is not identifiable.
+        Friction is estimated too (marginal covariance). None if an unknown is not identifiable.
 
         Args:
             information: Information matrix of all unknowns, (U, U).
@@ -207,12 +219,12 @@ def information_of(
     """Build the design objective from sampled rows, noise and prior.
 
     Args:
-        rows: Sampled rows of the signals that `models_of(instrument)` lists.
+        rows: Sampled rows of the signals in `signals_of_instrument(instrument)`.
         instrument: Instrument whose rows are used.
         plate_noise: Standard deviation of the plate's channels, (6,) [N, N m].
         torque_noise: Standard deviation of the joint torques, (n,) [N m or N].
         criterion: Name of the optimality criterion.
-        prior: Prior covariance of the base parameters, (N, N); None for no prior.
+        prior: Prior covariance of the absolute base parameters, (N, N); None for no prior.
     """
     main_rows = rows["torque" if instrument == "joints" else "wrench"]
     scale = parameter_scale(
@@ -246,7 +258,7 @@ def information_of(
 
 
 def signals_of_instrument(instrument: Instrument) -> tuple[Signal, ...]:
-    """Signals that an instrument measures."""
+    """Signals of an instrument: "wrench" of the plate, "torque" of joints, or both."""
     if instrument == "both":
         return "wrench", "torque"
     return ("wrench" if instrument == "plate" else "torque",)
@@ -279,7 +291,7 @@ class SignalProcessing:
         duration: Duration of the recording after filtering [s].
         band: Cut-off frequency of the rows [Hz]; infinite without low-pass.
         min_speed: Joint speed at or below which rows of a joint are not counted [rad/s or m/s].
-        guard_time: Time before and after such slow samples that is not counted, either [s].
+        guard_time: Time before and after samples at or below `min_speed` that is not counted [s].
     """
 
     rate: float
@@ -301,8 +313,9 @@ class Prediction:
     Attributes:
         names: Names of the base parameters.
         sigma: Standard deviation of each parameter, (N,) [kg, kg m, kg m^2].
-        relative: Standard deviations relative to the values, small values being raised, (N,).
-        condition: Condition number of the rows on relative parameters.
+        relative: Standard deviations relative to the values, small values being raised to
+            MIN_RELATIVE_SCALE of the largest of the same unit, (N,); infinite if not identifiable.
+        condition: Condition number of the weighted rows on relative parameters.
     """
 
     names: tuple[str, ...]
@@ -325,6 +338,8 @@ def predict(
     pipeline: SignalProcessing,
 ) -> Prediction:
     """Predict standard deviations of the base parameters under white noise.
+
+    All are infinite if an unknown is not identifiable.
 
     Args:
         information: Design objective; its prior is in units of one sample.
@@ -356,7 +371,8 @@ def is_counted(
 ) -> NDArray[np.bool_]:
     """True where a joint's rows are counted, at samples of a period, (count, n).
 
-    Rows are counted where the joint is fast and not near a slow sample.
+    Rows are counted where the joint is faster than `min_speed` from `guard_time` before to
+    `guard_time` after the sample.
 
     Args:
         motion: Periodic motion.

@@ -32,7 +32,7 @@ class Limits:
         high: Largest position, (n,) [rad or m].
         velocity: Largest speed, (n,) [rad/s or m/s].
         acceleration: Largest acceleration, (n,) [rad/s^2 or m/s^2].
-        effort: Largest motor effort, (n,) [N m or N]; infinite without limit.
+        effort: Largest absolute motor effort, (n,) [N m or N]; infinite without limit.
     """
 
     low: Array
@@ -64,7 +64,10 @@ class Limits:
 
     @property
     def postures(self) -> Array:
-        """Home posture and reproducible random postures, (RANDOM_POSTURES + 1, n) [rad or m]."""
+        """Home posture and random postures, (RANDOM_POSTURES + 1, n) [rad or m].
+
+        Random postures are uniform within the position limits, with a fixed seed.
+        """
         shape = RANDOM_POSTURES, len(self.low)
         random_postures = np.random.default_rng(0).uniform(self.low, self.high, shape)
         return np.vstack([self.home, random_postures])
@@ -77,10 +80,13 @@ def joint_limits(
 ) -> Limits:
     """Limits of the model file, reduced by user limits and completed by defaults.
 
+    Defaults are DEFAULT_LIMITS; efforts have no default.
+
     Args:
         tree: The robot.
-        velocity: Largest speed by joint name [rad/s or m/s].
-        acceleration: Largest acceleration by joint name [rad/s^2 or m/s^2].
+        velocity: Largest speed by joint name [rad/s or m/s]; the smaller of this and the model
+            file's limit applies.
+        acceleration: Largest acceleration by joint name [rad/s^2 or m/s^2]; model files have none.
 
     Raises:
         UnknownName: A limit is given for a joint that the robot lacks.
@@ -117,7 +123,11 @@ def motor_efforts(tree: Tree, motion: Motion) -> Array:
 
 
 def _position_range(joint: Joint) -> tuple[float, float]:
-    """Finite position range of a joint; missing limits are replaced by default ranges."""
+    """Finite position range of a joint; missing limits are replaced by default ranges.
+
+    A limit beyond MAX_RANGE_RATIO times the default half range counts as missing. With one limit
+    the range is twice the default half range from there, with none it is symmetric about zero.
+    """
     default_half = DEFAULT_LIMITS[joint.kind][0]
     low, high = (
         limit

@@ -54,7 +54,7 @@ class _JointTable(BaseModel):
 
 
 class _MotionTables(BaseModel):
-    """Tables of a motion file."""
+    """Tables of a motion file; `limits`, `predicted` and `proof` are accepted, not used."""
 
     model_config = STRICT_TABLE
 
@@ -90,7 +90,7 @@ class MotionFile:
             tree: The robot.
 
         Raises:
-            ExperimentError: The robot has other joints.
+            ExperimentError: The sets of joint names differ.
         """
         if set(self.names) != set(tree.names):
             hint = ""
@@ -142,7 +142,9 @@ def read_motion(path: Path) -> MotionFile:
 
 
 def write_motion(path: Path, excitation: Excitation, model: Path) -> None:
-    """Write the Fourier coefficients of a designed motion.
+    """Write the Fourier coefficients of a designed motion to a TOML file for `read_motion`.
+
+    The model file is stored as path relative to the file, and as SHA-256 hash.
 
     Args:
         path: Path of the file, which is replaced if it exists.
@@ -178,21 +180,21 @@ def write_trajectory(
 ) -> RestToRest:
     """Write samples of a motion from rest to rest: time, positions, velocities, accelerations.
 
-    Columns are time, position/JOINT, velocity/JOINT, acceleration/JOINT. The periodic part, which
-    is for identification, begins at time zero; samples before lead from rest into it, samples after
-    it to rest.
+    Columns are time, position/JOINT, velocity/JOINT, acceleration/JOINT [s, rad or m]. The periodic
+    part, for identification, begins at time zero; earlier samples lead from rest into the periodic
+    part, samples after its end to rest.
 
     Args:
         path: Path of the CSV file, which is replaced if it exists.
         excitation: The designed motion.
         rate: Sampling rate [Hz].
-        duration: Requested duration of the periodic part [s].
+        duration: Requested duration of the periodic part, rounded to whole periods [s].
 
     Returns:
         The motion with its start and end.
 
     Raises:
-        ExperimentError: The file would have too many samples.
+        ExperimentError: The file would have more than MOST_SAMPLES samples.
         NoFeasibleMotion: The robot cannot start the motion from rest.
     """
     motion = rest_to_rest(excitation.design.motion, excitation.rules, duration)

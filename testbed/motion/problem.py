@@ -122,9 +122,9 @@ def interior_point_minimum(
 def _newton_step(
     current: Linearisation, dual: Array, hessian: Array, barrier: float
 ) -> tuple[Array, Array, float] | None:
-    """Newton step of unknowns and duals, and slope of the barrier function along it.
+    """Newton step of unknowns and duals, and slope of the barrier function along the step.
 
-    None if the matrix is not positive definite numerically, as near a kink of the limits.
+    None if the Newton matrix is not positive definite numerically, as near a kink of the limits.
 
     Args:
         current: Linearisation at the current point.
@@ -153,7 +153,7 @@ def _step_length(
 ) -> float:
     """Length of a feasible step with sufficient decrease of the barrier function (Armijo).
 
-    0 if there is no such step.
+    0 if 25 bisections give no such step.
 
     Args:
         search: Objective and limits.
@@ -180,7 +180,8 @@ def _updated_duals(
 ) -> Array:
     """Dual variables after a step, positive and near the central path.
 
-    They stay within a factor of ten of barrier / slack.
+    The duals stay within a factor of ten of barrier / slack after the step (`following`); `move` is
+    the Newton step of the duals.
     """
     decreasing = move < 0
     max_length = (
@@ -235,7 +236,7 @@ def _bfgs_update(
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Linear map from unknowns to a Fourier series: 2 harmonics + 1 unknowns per joint.
+    """Linear map from unknowns to a Fourier series: 2 harmonics + 1 unknowns p per joint.
 
     Attributes:
         limits: Limits of the joints.
@@ -268,7 +269,7 @@ class Series:
 
     @cached_property
     def units(self) -> Array:
-        """Fourier coefficient per unit of each unknown, (n, p) [rad or m]."""
+        """Fourier coefficient per unit of each unknown: offset, sines, cosines, (n, p) [rad or m]."""
         frequencies = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
         amplitudes = np.tile(self.limits.velocity[:, None] / frequencies, 2)
         return np.hstack(
@@ -328,13 +329,13 @@ class Series:
         return np.asarray(np.stack([shares, -shares], axis=1) - bound)
 
     def gradient_by_unknowns(self, slopes: Array) -> Array:
-        """Derivatives by the unknowns from derivatives by the motion, summed over instants.
+        """Gradient by the unknowns from derivatives by the motion, summed over instants.
 
         Args:
-            slopes: Derivatives by q, then qd, then qdd, (..., 3 n, G).
+            slopes: Derivatives with respect to q, then qd, then qdd, (..., 3 n, G).
 
         Returns:
-            Derivatives by the unknowns, (..., n p).
+            Derivatives with respect to the unknowns, (..., n p).
         """
         leading_shape = slopes.shape[:-2]
         by_joint = slopes.reshape(*leading_shape, 3, self.joints, self.instants)
@@ -342,10 +343,10 @@ class Series:
         return np.asarray(gradient.reshape(*leading_shape, -1))
 
     def jacobian_rows(self, slopes: Array, instants: NDArray[np.int64]) -> Array:
-        """Derivatives by the unknowns of functions of the motion at one instant each, (r, n p).
+        """Gradients by the unknowns of r functions of the motion at single instants, (r, n p).
 
         Args:
-            slopes: Derivatives by q, then qd, then qdd, (r, 3 n).
+            slopes: Derivatives of the functions with respect to q, then qd, then qdd, (r, 3 n).
             instants: Index of the instant of each function, (r,).
         """
         by_joint = slopes.reshape(-1, 3, self.joints)
@@ -363,8 +364,8 @@ class BlockJacobian:
     Attributes:
         linear: Blocks of the linear limits, (n, 3 G, p), used with both signs.
         others: Number of other limits.
-        place: Indices of the other limits with non-zero derivatives, (r,); distant pairs have none.
-        dense: Rows of these limits, (r, n p).
+        place: Indices of the other limits with non-zero derivatives, (r,).
+        dense: Rows of the Jacobian for these limits, (r, n p).
     """
 
     linear: Array
@@ -438,12 +439,12 @@ class InteriorPointProblem:
     names: tuple[str, ...]
 
     def evaluate(self, x: Array) -> Evaluation:
-        """Objective and limits at a point."""
+        """Objective and limits at a point, (n p,)."""
         samples = self._samples(x, None)
         return Evaluation(self.information.value(samples), self._limits(x, samples))
 
     def linearise(self, x: Array) -> Linearisation:
-        """Objective and limits at a point, with derivatives."""
+        """Objective and limits at a point, (n p,), with derivatives."""
         samples = self._samples(x, self.stencil)
         return Linearisation(
             x=x,
@@ -456,7 +457,7 @@ class InteriorPointProblem:
     def most_critical_limit(self, x: Array) -> tuple[str, float, float]:
         """Label, time [s] and value of the largest limit at a point.
 
-        The value is the excess as a share of the limit; negative if the limit is respected.
+        The value is the excess over the usable share of the limit; negative if respected.
         """
         instants = self.series.instants
         joint_values = self.series.limit_values(x).max(axis=1)
@@ -472,7 +473,7 @@ class InteriorPointProblem:
         return labels[k], float(self.series.times[g]), float(all_values[k, g])
 
     def _jacobian(self, samples: KernelForces) -> BlockJacobian:
-        """Jacobian of all limits by the unknowns."""
+        """Jacobian of all limits with respect to the unknowns."""
         width = 3 * self.series.joints
         by_motion = [
             term.slopes(samples).transpose(0, 2, 1).reshape(-1, width)

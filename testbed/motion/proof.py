@@ -62,7 +62,7 @@ class Path(Protocol):
         """Upper bound of the absolute fifth derivative, (n,)."""
 
     def derivative(self, t: Array, order: int) -> Array:
-        """Derivative of the positions of order 0 to 4 at times t, (M, n)."""
+        """Derivative of order 0 to 4 of the positions at times t, (M, n) [rad/s^order, m/s^order]."""
 
     def at(self, t: Array) -> Motion:
         """Positions, velocities and accelerations at times t, (M,) [s]."""
@@ -74,8 +74,8 @@ class Margin:
 
     Attributes:
         label: Name of the limit.
-        left: Proven remaining share of the limit, or distance [m] for a clearance; negative where
-            the limit is exceeded, or not proven to be respected.
+        left: Proven remaining share of the limit, or distance beyond the clearance [m]; negative
+            where the limit is exceeded, or not proven to be respected.
         instant: Time of the smallest margin [s].
         unit: "" for a share, "m" for a distance.
     """
@@ -127,7 +127,10 @@ class Proof:
 
     @property
     def binding(self) -> tuple[str, ...]:
-        """Names of the limits that the motion nearly reaches."""
+        """Names of the limits that the motion nearly reaches or exceeds.
+
+        The margin is below MAX_BINDING_SHARE, or MAX_BINDING_DISTANCE for a clearance.
+        """
         return tuple(
             margin.label
             for margin in self.margins
@@ -137,7 +140,7 @@ class Proof:
 
     @property
     def smallest_margin(self) -> Margin:
-        """Smallest margin."""
+        """Margin with the smallest `left`; shares and distances [m] are compared as numbers."""
         return min(self.margins, key=lambda margin: margin.left)
 
 
@@ -148,11 +151,11 @@ class MotionConstraints:
     Attributes:
         tree: The robot, with a-priori inertias and friction.
         limits: Limits of the joints.
-        margin: Usable share of the limits of joints.
+        margin: Usable share of the limits of joint positions, velocities and accelerations.
         force_limits: Limits of motor efforts, plate and force sensors.
         collision: Shapes and watched pairs of bodies; None without watched pairs.
         clearance: Required distance of each pair, (k,) [m].
-        diagnostics: Diagnostics of pairs that are not watched.
+        diagnostics: Diagnostics of pairs that are not watched, or have a reduced clearance.
     """
 
     tree: Tree
@@ -179,7 +182,7 @@ def prove(motion: Fourier, rules: MotionConstraints) -> Proof:
 
 
 def respects_limits_at_samples(motion: Fourier, rules: MotionConstraints) -> bool:
-    """Test whether a motion respects all limits at some instants of a period.
+    """Test whether a motion respects all limits at QUICK_SAMPLES instants of a period.
 
     Necessary condition, for a quick rejection before a proof.
 
@@ -249,7 +252,8 @@ def force_margins(path: Path, rules: MotionConstraints) -> tuple[list[Margin], i
     """Margins of efforts, wrench and centre of pressure on a path, and number of samples.
 
     Piecewise linear interpolation of samples h apart is exact to within h^2 / 8 of the second
-    derivative's bound. The sampling rate is doubled until that error is small.
+    derivative's bound, which is subtracted from the margin. The sampling rate is doubled until that
+    error is at most MAX_INTERPOLATION_ERROR, or MAX_SAMPLES is reached.
 
     Args:
         path: Motion with bounded derivatives.
@@ -281,7 +285,7 @@ def force_margins(path: Path, rules: MotionConstraints) -> tuple[list[Margin], i
 
 
 def force_sample_count(duration: float) -> int:
-    """Number of samples of a path at the initial rate, a multiple of `SPANS`.
+    """Number of samples of a path at FORCE_SAMPLE_RATE, rounded up to a multiple of `INTERVALS`.
 
     Args:
         duration: Duration of the path [s].
@@ -290,14 +294,14 @@ def force_sample_count(duration: float) -> int:
 
 
 def derivative_bounds(path: Path, count: int) -> Array:
-    """Upper bounds of |q| and of its first four derivatives in intervals, (5, n, SPANS).
+    """Upper bounds of |q| and the first four absolute derivatives, (5, n, INTERVALS).
 
-    Between samples h apart a function exceeds its samples by at most h/2 times the bound of its
-    derivative.
+    The path is divided into INTERVALS equal intervals. Between samples h apart a function exceeds
+    its samples by at most h/2 times the bound of its derivative.
 
     Args:
         path: Motion with bounded derivatives.
-        count: Number of samples, a multiple of `SPANS`.
+        count: Number of samples, a multiple of `INTERVALS`.
     """
     times, span = np.arange(count + 1) * path.duration / count, count // INTERVALS
     values = np.abs([path.derivative(times, order) for order in range(5)])
@@ -313,7 +317,10 @@ def derivative_bounds(path: Path, count: int) -> Array:
 def _distance_margins(
     motion: Fourier, rules: MotionConstraints
 ) -> tuple[list[Margin], int]:
-    """Margins of clearances of all pairs that come near, and number of postures."""
+    """Margins of clearances, and number of postures at which distances were computed.
+
+    Of all pairs that come nearer than the largest clearance plus MAX_DISTANCE.
+    """
     if rules.collision is None:
         return [], 0
     meter = DistanceMeter(rules.collision, rules.clearance + MAX_DISTANCE)
@@ -335,7 +342,8 @@ def _advance_conservatively(
     """Times and distances of all pairs, (P,) and (P, k), by conservative advancement.
 
     Each step is so short that no pair can lose its distance beyond the clearance at its largest
-    approach speed. If a step becomes too short, the last distance falls below its clearance.
+    approach speed. If a step is shorter than MIN_ADVANCE of the period, the advancement ends, and
+    the last distance is set below its clearance: not proven.
 
     Args:
         motion: Periodic motion.
@@ -372,7 +380,7 @@ class Slack:
     Attributes:
         label: Kind of limit, as "velocity limits".
         unit: "%" or "mm".
-        left: Remaining share or distance over time, (M,).
+        left: Remaining share or distance over time, in `unit`, (M,).
     """
 
     label: str
@@ -383,9 +391,10 @@ class Slack:
 def slack_by_kind(
     motion: Fourier, rules: MotionConstraints, times: Array
 ) -> list[Slack]:
-    """Smallest margin over time for each kind of limit.
+    """Smallest margin over time for each kind of limit, at samples only.
 
-    Clearances are included if a pair comes nearer than `FAR`.
+    Clearances are included if a pair comes nearer than `MAX_DISTANCE`; pairs with a reduced
+    clearance are excluded.
 
     Args:
         motion: Periodic motion.

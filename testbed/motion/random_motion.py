@@ -29,7 +29,8 @@ from testbed.motion.samples import MIN_RELATIVE_SCALE, NewtonEulerForces
 def rest_posture(rules: MotionConstraints) -> Array:
     """Home posture if feasible at rest, otherwise the most feasible random posture.
 
-    Limits are of efforts, plate and clearance; the most feasible posture has the smallest excess.
+    Limits are of efforts, plate, force sensors and clearance; the most feasible posture of
+    `Limits.postures` has the smallest normalised excess.
 
     Args:
         rules: Limits of the motion.
@@ -50,9 +51,9 @@ def rest_posture(rules: MotionConstraints) -> Array:
 
 
 def least_effort_posture(tree: Tree, limits: Limits) -> Array:
-    """Posture with the smallest relative motor effort at rest, (n,) [rad or m].
+    """Posture with the smallest motor effort over its limit at rest, (n,) [rad or m].
 
-    Candidates are the home posture and random postures.
+    The largest ratio of all joints counts. Candidates are the home posture and random postures.
 
     Args:
         tree: The robot.
@@ -91,7 +92,9 @@ class RandomSeries:
     limits: Limits
 
     def sized(self, share: float) -> Fourier:
-        """Motion with a share of the amplitudes, offset as near as feasible to the preferred.
+        """Motion with a share of the amplitudes, offset clipped to the position limits.
+
+        The offset is as near to `preferred_offset` as USABLE_SHARE of the position ranges allows.
 
         Args:
             share: Share of the amplitudes.
@@ -115,6 +118,9 @@ def draw_random_series(
     limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator
 ) -> RandomSeries:
     """Draw a random Fourier series, each joint scaled to its most restrictive limit.
+
+    Coefficients of harmonic k are normally distributed with standard deviation 1/k before scaling
+    to USABLE_SHARE of the limits; offsets are uniform in the middle half of the position range.
 
     Args:
         limits: Limits of the joints.
@@ -153,8 +159,9 @@ def random_motion(
 ) -> Fourier:
     """Draw a random Fourier motion, each joint scaled to its most restrictive limit.
 
-    If the efforts do not allow any motion about a random posture, the posture with the smallest
-    efforts is used. The limits are checked at samples only; `testbed excite` proves them.
+    Amplitudes are reduced until the motor efforts are within USABLE_SHARE of their limits, about a
+    random posture or, if no amplitude fits, about the posture with the smallest efforts. The limits
+    are checked at samples only; `testbed excite` proves them.
 
     Args:
         tree: The robot, with a-priori inertias for the efforts.
@@ -193,7 +200,8 @@ def random_motion(
 def _within_efforts(tree: Tree, series: RandomSeries) -> tuple[Fourier | None, Array]:
     """Largest motion of a series within the effort limits, and relative efforts, (n,).
 
-    None, and the efforts of the smallest motion, if all motions exceed the limits.
+    Relative efforts are peaks over limits. None, and the efforts of the smallest motion, if all
+    motions exceed USABLE_SHARE of the limits.
 
     Args:
         tree: The robot.
@@ -223,8 +231,9 @@ def best_random_motion(
 ) -> tuple[Fourier, float]:
     """Proven random motion with the smallest predicted relative standard deviation.
 
-    Candidates without proof are skipped. If no candidate is proven, amplitudes are reduced towards
-    the rest posture in steps.
+    The first proven candidate in the order of predicted standard deviations is taken. If no
+    candidate is proven, amplitudes are reduced towards the rest posture by AMPLITUDE_SHARES, then
+    up to MAX_EXTRA_BATCHES batches of candidates are added.
 
     Args:
         rules: Limits of the motion.
@@ -290,8 +299,8 @@ def equally_fast_motion(
 ) -> Fourier:
     """Proven motion with the amplitudes of a given motion and random phases.
 
-    Rms velocities and accelerations of every joint over a period are equal, or reduced by a common
-    share, at least a half, if limits require it.
+    Rms velocities and accelerations of every joint over a period are equal, or multiplied by a
+    common factor of SPEED_SHARES, at least 0.5, if limits require it.
 
     Args:
         motion: Given motion.
@@ -315,7 +324,8 @@ def relative_sigma(
 ) -> float:
     """Predicted rms relative standard deviation for a hundred samples per period.
 
-    Infinite if the motion does not identify all parameters.
+    Relative to the a-priori base parameters, small ones being raised (`parameter_scale`). Infinite
+    if the motion does not identify all parameters.
 
     Args:
         tree: The robot, with a-priori inertias.
@@ -340,7 +350,7 @@ def relative_sigma(
 def _period_times(
     motion: Fourier, min_samples: int, samples_per_harmonic: int
 ) -> Array:
-    """Evenly spaced times of a period [s].
+    """Evenly spaced times of a period from 0 [s].
 
     Args:
         motion: Periodic motion.

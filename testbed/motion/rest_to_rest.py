@@ -57,7 +57,7 @@ class Start:
         return Motion(t, *(self.derivative(t, order) for order in range(3)))
 
     def derivative(self, t: Array, order: int) -> Array:
-        """Derivative of the positions of order 0 to 4 at times t since rest, (M, n)."""
+        """Derivative of order 0 to 4 of the positions at times t since rest, (M, n)."""
         rates = [self._rate(t, k)[:, None] for k in range(order)]
         path_time = self.path_time(t)
         path_derivatives = [
@@ -75,7 +75,7 @@ class Start:
 
     @property
     def backwards(self) -> Start:
-        """Start into the time-reversed motion; reversed in time, it is the end of the motion."""
+        """Start into the time-reversed motion: the end of the motion reversed in time."""
         motion = self.motion
         reversed_motion = Fourier(
             motion.fundamental, motion.offset, -motion.sine, motion.cosine
@@ -145,7 +145,10 @@ class RestToRest(Value):
         return np.where(t < 0, self.start.path_time(start_times), path_times)
 
     def _start_and_end_times(self, t: Array) -> tuple[Array, Array]:
-        """Times within the start, and within its mirror image at the end, (M,) each [s]."""
+        """Times since rest in the start, and times before rest in the end, (M,) each [s].
+
+        Clipped to 0 ... `lead`.
+        """
         lead = self.lead
         return np.clip(t + lead, 0, lead), np.clip(self.end + lead - t, 0, lead)
 
@@ -153,12 +156,12 @@ class RestToRest(Value):
 def rest_to_rest(
     motion: Fourier, rules: MotionConstraints, duration: float
 ) -> RestToRest:
-    """Extend a proven motion by proven start and end, with whole periods.
+    """Extend a proven motion by proven start and end, with a whole number of periods.
 
     Args:
         motion: Proven periodic motion.
         rules: Limits of the motion.
-        duration: Requested duration of the periodic part, rounded to whole periods [s].
+        duration: Requested duration of the periodic part, rounded to one whole period or more [s].
 
     Raises:
         NoFeasibleMotion: The robot cannot rest where the motion begins.
@@ -170,7 +173,7 @@ def rest_to_rest(
 def shortest_start(
     motion: Fourier, rules: MotionConstraints
 ) -> tuple[Start, list[Margin]]:
-    """Shortest proven start, found by doubling its duration, and its margins.
+    """Shortest proven start, by doubling the duration from MIN_START_SECONDS, with all margins.
 
     The mirror image of the start leads to rest: it has the same accelerations and, except for
     friction and the sign of velocities, the same forces; both are proven.
@@ -180,7 +183,8 @@ def shortest_start(
         rules: Limits of the motion.
 
     Raises:
-        NoFeasibleMotion: No start is proven: the robot cannot rest where the motion begins.
+        NoFeasibleMotion: No start up to MAX_START_SECONDS is proven: the robot cannot rest where
+            the motion begins.
     """
     duration = MIN_START_SECONDS
     while True:
@@ -221,11 +225,11 @@ def _acceleration_margins(start: Start, rules: MotionConstraints) -> list[Margin
 
 
 def _chain_rule(parts: list[Array], rates: list[Array], order: int) -> Array:
-    """Time derivative of F(place(t)) by the chain rule of higher order (Faa di Bruno).
+    """Time derivative of F(s(t)) by the chain rule of higher order (Faa di Bruno).
 
     Args:
-        parts: Derivatives of F at the place, of order 0 to `order`, (M, n) each.
-        rates: Time derivatives of place, of order 1 to `order`, (M, 1) each.
+        parts: Derivatives of F with respect to s, of order 0 to `order`, (M, n) each.
+        rates: Time derivatives of s, of order 1 to `order`, (M, 1) each.
         order: Order of the derivative.
     """
     summands = [

@@ -1,4 +1,4 @@
-"""Forces and regressor rows at instants of a motion, with derivatives by the motion."""
+"""Forces and regressor rows at instants of a motion, with derivatives by q, qd and qdd."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ class Stencil:
 
     Attributes:
         shifts: Displacements of (q, qd, qdd), (E, 3, n); the first is zero.
-        weights: Weights of the shifted values in the derivatives by q, then qd, then qdd, (3 n, E).
+        weights: Weights of the E shifted values in the derivatives with respect to q, then qd, then
+            qdd, (3 n, E).
     """
 
     shifts: Array
@@ -42,7 +43,7 @@ class Stencil:
         freeze_arrays(self, weights=(3 * self.shifts.shape[2], len(self.shifts)))
 
     def displaced_motion(self, motion: Motion) -> Motion:
-        """Motion of M samples displaced by each of the E shifts, E M samples."""
+        """Motion of M samples displaced by each of the E shifts: E M samples, shift by shift."""
         states = np.stack([motion.q, motion.qd, motion.qdd])
         displaced = states + self.shifts[:, :, None, :]  # (E, 3, M, n)
         columns = displaced.transpose(1, 0, 2, 3).reshape(3, -1, states.shape[2])
@@ -74,7 +75,11 @@ def derivative_stencil(tree: Tree) -> Stencil:
 
 
 def _position_stencil(joint: Joint) -> tuple[tuple[float, float], ...]:
-    """Shifts of a joint's position, with weights in the derivative by that position."""
+    """Shifts of a joint's position [rad or m], with weights in the derivative by position.
+
+    Central differences are exact for the quadratic rows of a prismatic joint; four shifts of 45 and
+    135 degrees for trigonometric polynomials up to second order of a revolute joint.
+    """
     if not joint.revolute:
         return _CENTRAL_DIFFERENCE
     return (
@@ -88,8 +93,10 @@ def _position_stencil(joint: Joint) -> tuple[tuple[float, float], ...]:
 class SampledRows:
     """Values of a model's regressor slots at samples of a motion, by the compiled kernel.
 
-    The layout maps slots to regressor columns. The compiled kernel is used for any number of
-    samples, since a search evaluates the same few hundred samples thousands of times.
+    A slot is an entry of a channel's regressor row on the barycentric parameters; a row on the base
+    parameters is the channel's slots times a constant matrix (`channels`). The compiled kernel is
+    used for any number of samples, since a search evaluates the same few hundred samples thousands
+    of times.
     """
 
     def __init__(
@@ -126,7 +133,7 @@ class SampledRows:
     _workspace: Workspace | None = None
 
     def channels(self) -> Iterator[tuple[slice, Array]]:
-        """Slots of each channel, with their coefficients in the base parameters, (s, N)."""
+        """Yield each channel's slots, and the matrix from s slots to N base parameters, (s, N)."""
         rows = self.layout.rows
         for start, columns in zip(rows.start, self.layout.channel_columns, strict=True):
             yield (
@@ -136,7 +143,7 @@ class SampledRows:
 
     @cached_property
     def model(self) -> Array:
-        """Matrix from slots to forces or wrench of the a-priori model, (channels, slots)."""
+        """Matrix from slots to joint forces or wrench of the a-priori model, (channels, slots)."""
         matrix = np.zeros((self._width, self.layout.rows.slots))
         for c, (slots, basis) in enumerate(self.channels()):
             matrix[c, slots] = basis @ self.delta
@@ -162,7 +169,7 @@ class NewtonEulerForces:
     motion: Motion
 
     def forces(self, model: Signal) -> Array:
-        """Joint forces or bedplate wrench, (channels, G) [N m, N]."""
+        """Joint forces for model "torque", else bedplate wrench, (channels, G) [N m, N]."""
         function = joint_forces if model == "torque" else base_wrench
         return function(self.tree, self.motion).T
 
@@ -208,7 +215,7 @@ class KernelForces:
         return self._shifted_forces[model][:, 0]
 
     def force_slopes(self, model: Signal) -> Array:
-        """Derivatives of the forces by q, then qd, then qdd, (channels, 3 n, G)."""
+        """Derivatives of the forces with respect to q, then qd, then qdd, (channels, 3 n, G)."""
         assert self.stencil is not None, "derivatives were not asked for"
         return np.asarray(np.matmul(self.stencil.weights, self._shifted_forces[model]))
 

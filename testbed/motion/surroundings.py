@@ -62,8 +62,9 @@ def motion_constraints(
         tree: The robot.
         limits: Limits of the joints.
         margin: Usable share of the limits.
-        terms: Limits of plate and force sensors.
-        watched_pairs: Watched pairs of bodies.
+        terms: Limits of plate and force sensors; limits of motor efforts are added if some are
+            finite.
+        watched_pairs: Watched pairs of bodies, with clearances and diagnostics.
     """
     if np.isfinite(limits.effort).any():
         terms = (*terms, EffortTerm(tree, limits, margin))
@@ -85,14 +86,18 @@ def find_watched_pairs(
 ) -> WatchedPairs:
     """Find the pairs of bodies that a motion can keep apart, and required distances.
 
+    Pairs are selected by `select_watched_pairs`. A model file without shapes gives no pairs, with a
+    diagnostic.
+
     Args:
         tree: The robot; its model file contains the shapes.
         limits: Limits of the joint positions.
         clearance: Required distance [m].
         obstacles: Shapes around the robot, in the bedplate's frame.
         exclude: Names of the bodies of excluded pairs.
-        floor: Height of the floor [m]; "off" for no floor; None for the lowest point of the
-            pedestal.
+        floor: Height of the floor in the bedplate's frame [m]; any text, as "off", for no floor;
+            None for the lowest point of the pedestal, or no floor, with a diagnostic, if the robot
+            hangs below that point.
 
     Raises:
         ExperimentError: There are obstacles, and the model file has no shapes.
@@ -130,7 +135,8 @@ def find_watched_pairs(
 def _floor_height(tree: Tree, shapes: tuple[Shape, ...]) -> float | None:
     """Height of the pedestal's lowest point, or of the plate's plane [m].
 
-    None if the robot hangs below that height in the zero posture.
+    None if a body's origin is lower by more than MAX_DEPTH_RATIO of the robot's reach in the zero
+    posture: the robot hangs.
     """
     lowest_points = (
         float(shape_bounds(shape)[0][2]) for shape in shapes if shape.body < 0
@@ -146,9 +152,10 @@ def select_watched_pairs(
 ) -> WatchedPairs:
     """Select pairs with informative shapes, and the distance that each pair can keep.
 
-    Pairs in contact in nearly every posture are dropped: their shapes are too coarse. Pairs about
-    as near as the clearance in the zero posture, or in nearly every posture, keep half that
-    distance. Obstacles are always watched with full clearance.
+    Pairs in contact in MIN_CONTACT_SHARE of the random postures are dropped: their shapes are too
+    coarse. Pairs nearer than MAX_NEAR_RATIO times the clearance in the home posture, or in
+    MIN_CONTACT_SHARE of the random postures, keep half that (or the median) distance. Obstacles are
+    always watched with full clearance. Diagnostics name dropped pairs and reduced clearances.
 
     Args:
         collision: All pairs.

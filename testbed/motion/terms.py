@@ -88,9 +88,9 @@ def force_curvature_bounds(tree: Tree, motion: Array) -> ForceCurvatureBounds:
 
 @dataclass(frozen=True, eq=False)
 class _MotionBounds:
-    """Bounds of a body's motion and its first two time derivatives, (3, W) each.
+    """Bounds of the norms of a body's motion and their first two time derivatives, (3, W) each.
 
-    Norms are of vectors in the body's axes.
+    Row 0 bounds the vector in the body's axes, rows 1 and 2 its time derivatives.
     """
 
     speed: Array  # angular velocity
@@ -163,7 +163,7 @@ def _child_bounds(
 
 
 def _jet_product(a: Array, b: Array) -> Array:
-    """Value and first two derivatives of a product from these of its factors, (3, ...)."""
+    """Value and first two derivatives of a product from those of both factors, (3, ...)."""
     second = a[2] * b[0] + 2 * a[1] * b[1] + a[0] * b[2]
     return np.stack([a[0] * b[0], a[1] * b[0] + a[0] * b[1], second])
 
@@ -201,7 +201,11 @@ class PlateRange:
             )
 
     def rows(self, margin: float) -> tuple[tuple[str, ...], Array, Array]:
-        """Labels of the limits, wrench combinations over their limits, (k, 6), and bounds, (k,).
+        """Labels of the k limits, rows A (k, 6) and bounds b (k,) of A wrench <= b.
+
+        Both signs of every channel with finite range, as shares of the range; then, with
+        `half_lengths`, both signs of |My| <= margin x Fz and |Mx| <= margin y Fz, x and y the half
+        lengths, normalised by PRESSURE_UNIT. The wrench includes the pedestal.
 
         Args:
             margin: Usable share of each range.
@@ -242,7 +246,7 @@ class ForceTerm:
         return samples.forces(self.model)
 
     def force_slopes(self, samples: KernelForces) -> Array:
-        """Derivatives of the forces by q, then qd, then qdd, (c, 3 n, G)."""
+        """Derivatives of the forces with respect to q, then qd, then qdd, (c, 3 n, G)."""
         return samples.force_slopes(self.model)
 
     def force_curvatures(self, bounds: ForceCurvatureBounds) -> Array:
@@ -254,7 +258,7 @@ class ForceTerm:
         return self.rows @ self.forces(samples) - self.most[:, None]
 
     def slopes(self, samples: KernelForces) -> Array:
-        """Derivatives of the values by q, then qd, then qdd, (k, 3 n, G)."""
+        """Derivatives of the values with respect to q, then qd, then qdd, (k, 3 n, G)."""
         return np.tensordot(self.rows, self.force_slopes(samples), 1)
 
     def curvatures(self, bounds: ForceCurvatureBounds) -> Array:
@@ -295,7 +299,7 @@ class SensorTerm(PlateTerm):
             beyond: Part of the robot beyond the sensor, with a-priori inertias.
             ranges: Measuring ranges of the sensor.
             margin: Usable share of each range.
-            name: Name of the sensor.
+            name: Name of the sensor, in place of "plate" in the labels.
         """
         super().__init__(ranges, pedestal_wrench(beyond), margin)
         self.labels = tuple(label.replace("plate", name) for label in self.labels)
@@ -305,13 +309,13 @@ class SensorTerm(PlateTerm):
         self._sampled = SampledRows(beyond, minimal, self._joints)
 
     def forces(self, samples: MotionSamples) -> Array:
-        """Wrench of the sensor at G instants, (6, G)."""
+        """Wrench at the sensor, pedestal excluded, at G instants, (6, G) [N, N m]."""
         motion = samples.motion
         states = (state[:, self._joints] for state in (motion.q, motion.qd, motion.qdd))
         return base_wrench(self._part, Motion(motion.t, *states)).T
 
     def force_slopes(self, samples: KernelForces) -> Array:
-        """Derivatives of the sensor's wrench by q, then qd, then qdd, (6, 3 n, G)."""
+        """Derivatives of the sensor's wrench with respect to q, qd, then qdd, (6, 3 n, G)."""
         assert samples.stencil is not None, "derivatives were not asked for"
         displaced = samples.stencil.displaced_motion(samples.motion)
         wrench = self._sampled.model @ self._sampled.slots(displaced)
@@ -326,7 +330,7 @@ class SensorTerm(PlateTerm):
 class EffortTerm(ForceTerm):
     """Limits of motor efforts, with dry friction of either sign.
 
-    At zero speed, dry friction may have either direction.
+    The limits are reduced by the Coulomb friction, which may have either direction at zero speed.
     """
 
     def __init__(self, tree: Tree, limits: Limits, margin: float) -> None:
@@ -357,13 +361,13 @@ class EffortTerm(ForceTerm):
         super().__init__("torque", labels, rows, bounds)
 
     def forces(self, samples: MotionSamples) -> Array:
-        """Motor torques without dry friction, (n, G)."""
+        """Motor torques without dry friction, (n, G) [N m or N]."""
         return super().forces(samples) + self._drive_losses(
             samples.motion.qd.T, samples.motion.qdd.T
         )
 
     def force_slopes(self, samples: KernelForces) -> Array:
-        """Derivatives of the motor torques by q, then qd, then qdd, (n, 3 n, G)."""
+        """Derivatives of the motor torques with respect to q, qd, then qdd, (n, 3 n, G)."""
         zeros = np.zeros_like(self._viscous)
         drive_slopes = np.hstack(
             [
@@ -378,7 +382,7 @@ class EffortTerm(ForceTerm):
         return super().force_curvatures(bounds) + self._drive_losses(*bounds.motion[3:])
 
     def _drive_losses(self, qd: Array, qdd: Array) -> Array:
-        """Torque of viscous friction and rotor inertia, (n, ...).
+        """Torque of viscous friction and rotor inertia, (n, ...) [N m or N].
 
         Args:
             qd: Joint velocities, (n, ...).

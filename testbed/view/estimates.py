@@ -35,7 +35,7 @@ def parameter_tables(
 ) -> Iterator[list[Table]]:
     """Layouts of the table of parameters by all methods, from wide to narrow.
 
-    In this order: one table with 1.061 +- 0.001, one with 1.061(1) and no units, a table per method.
+    Layouts are a table with 1.061 +- 0.001, one with 1.061(1) and no units, and a table per method.
     Columns are value with sigma and, for a known truth, the error in sigmas. The parameters are
     sorted by decreasing influence on the predicted signals.
 

@@ -121,7 +121,8 @@ MIN_NAME_WIDTH = 12
 class Progress:
     """Progress on standard error: a bar on a terminal, otherwise a line at intervals.
 
-    Lines are at least `MIN_LINE_INTERVAL` (10 s) apart. In nested `with` blocks only the innermost bar is displayed.
+    Lines are at least `MIN_LINE_INTERVAL` (10 s) apart. In nested `with` blocks only the
+    innermost bar is displayed.
     """
 
     _open_bars: ClassVar[list[Progress]] = []

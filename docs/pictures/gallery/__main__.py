@@ -28,7 +28,7 @@ from docs.gallery import (
 )
 from docs.marks import write
 from docs.pictures.drawing import error_dots, placed, save
-from docs.pictures.explained import coefficients_by_error
+from docs.pictures.explained import errors_of_run
 from testbed.campaigns.campaign import Campaign
 from testbed.campaigns.conduct import conduct
 from testbed.campaigns.results import RESULTS_FILE, read_campaign_results
@@ -80,7 +80,8 @@ def carried_out(path: Path) -> dict[str, str]:
     if run.drives is not None:
         shows = draw_friction(path.stem, run)
     else:
-        width, height, parts = error_dots(coefficients_by_error(run), {m: METHODS[m] for m in run.estimates})
+        errors = errors_of_run(run)
+        width, height, parts = error_dots(errors, {m: METHODS[m] for m in run.estimates})
         shows = "Relative errors of the parameters, by the plate and by joint torques"
         save(f"gallery/{path.stem}", width, height, parts, shows)
     found = [

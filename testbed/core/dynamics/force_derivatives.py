@@ -315,7 +315,7 @@ def _torque_slopes(
 
 
 def _carrier_mask(tree: Tree) -> NDArray[np.bool_]:
-    """Mask (n, n + 1): joint j, or the base (last column), is or carries joint i."""
+    """Mask (n, n + 1): joint j is or carries joint i; the base column is False."""
     carried = np.eye(tree.n, tree.n + 1, dtype=np.bool_)
     for i in range(tree.n):
         if tree.parents[i] >= 0:

@@ -325,7 +325,7 @@ def _urdf_meshes(path: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def find_mesh(name: str, model: Path) -> tuple[Path, Path] | None:
-    """Base folder of a mesh name in a URDF, and the mesh file; None if missing.
+    """Base folder of a URDF's mesh name, and the mesh file; None if missing.
 
     A name package://PACKAGE/... is resolved below all folders above the model, nearest first, with
     and then without the package's name; any other name below the model's folder.
