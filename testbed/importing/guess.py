@@ -87,11 +87,7 @@ def guess_mapping(
         "",
     )
     rate = _recording_rate(sources, signals)
-    reason = (
-        ""
-        if rate
-        else f": {sources[0].clock.rate_evidence}, and a log without times does not say it"
-    )
+    reason = "" if rate else f": unknown, {sources[0].clock.rate_evidence}"
     draft = draft.with_key("", "rate", rate, f"of the recording [Hz]{reason}")
     draft = draft.with_key("", "joints", *_joint_names(signals, joints))
     plates = find_plates(sources, signals)

@@ -194,7 +194,7 @@ def find_clock(
         )
     count = max(table.lengths.values(), default=0)
     return LikelyClock(
-        None, rate_evidence=f"no column of {count} numbers looks like times [Hz]"
+        None, rate_evidence=f"no column of {count} numbers contains increasing times"
     )
 
 

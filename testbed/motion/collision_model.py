@@ -113,7 +113,7 @@ def collision_model(
     """Build the collision model of a robot, obstacles and a floor, with all pairs watched.
 
     Pairs are those of two bodies of which one moves and that no joint connects; a first body of the
-    robot is not paired with the floor. Meshes are replaced by their convex hulls, flat ones dropped.
+    robot is not paired with the floor. Meshes become convex hulls; flat meshes are dropped.
 
     Args:
         tree: The robot.
@@ -246,7 +246,7 @@ def distance_rate_bounds(collision: CollisionModel, limits: Limits) -> Array:
 
 
 def _reaches(collision: CollisionModel) -> dict[int, float]:
-    """Largest distance of the shapes of a moving body from the body's origin, by body index [m]."""
+    """Bound of the distances of a moving body's shapes from the origin, by body [m]."""
     model = collision.model
     reaches: dict[int, float] = {}
     for (a, b), geoms in zip(collision.pairs, collision.geoms, strict=True):

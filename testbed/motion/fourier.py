@@ -77,7 +77,7 @@ class Fourier(Value):
     def bound(self, order: int) -> Array:
         """Upper bound of the absolute derivative of an order, (n,) [rad/s^order or m/s^order].
 
-        Sum of the harmonics' amplitudes; for order 0 with the offset.
+        Sum of the amplitudes of the derivative's harmonics, for order 0 plus the absolute offset.
         """
         frequencies = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
         constant = 0.0 if order else np.abs(self.offset)
@@ -86,7 +86,10 @@ class Fourier(Value):
         )
 
     def derivative(self, t: Array, order: int) -> Array:
-        """Derivative of the positions of any order at times t, (M, n) [rad or m, s^-order]."""
+        """Derivative of the positions at times t, (M, n) [rad/s^order or m/s^order].
+
+        Order 0 gives the positions.
+        """
         return (
             fourier_basis(self.fundamental, self.harmonics, t, order)
             @ self.coefficients.T
@@ -129,9 +132,9 @@ class Fourier(Value):
 def fourier_basis(
     fundamental: float, harmonics: int, t: Array, order: int = 0
 ) -> Array:
-    """Fourier basis functions or a derivative of them at times t, (M, 2 harmonics + 1).
+    """Derivatives of the Fourier basis functions at times t, (M, 2 harmonics + 1).
 
-    Columns are the constant, the sines and the cosines.
+    Columns are those of the constant, of the sines and of the cosines.
 
     Args:
         fundamental: Fundamental frequency [Hz].

@@ -269,7 +269,7 @@ class Series:
 
     @cached_property
     def units(self) -> Array:
-        """Fourier coefficient per unit of each unknown: offset, sines, cosines, (n, p) [rad or m]."""
+        """Fourier coefficients (offset, sines, cosines) per unit of unknown, (n, p) [rad or m]."""
         frequencies = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
         amplitudes = np.tile(self.limits.velocity[:, None] / frequencies, 2)
         return np.hstack(

@@ -62,7 +62,7 @@ class Path(Protocol):
         """Upper bound of the absolute fifth derivative, (n,)."""
 
     def derivative(self, t: Array, order: int) -> Array:
-        """Derivative of order 0 to 4 of the positions at times t, (M, n) [rad/s^order, m/s^order]."""
+        """Derivative of order 0 to 4 of the positions at times t, (M, n)."""
 
     def at(self, t: Array) -> Motion:
         """Positions, velocities and accelerations at times t, (M,) [s]."""

@@ -145,7 +145,7 @@ class RestToRest(Value):
         return np.where(t < 0, self.start.path_time(start_times), path_times)
 
     def _start_and_end_times(self, t: Array) -> tuple[Array, Array]:
-        """Times since rest in the start, and times before rest in the end, (M,) each [s].
+        """Times since rest in the start, and until rest in the end, (M,) each [s].
 
         Clipped to 0 ... `lead`.
         """

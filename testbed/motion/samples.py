@@ -1,4 +1,4 @@
-"""Forces and regressor rows at instants of a motion, with derivatives by q, qd and qdd."""
+"""Forces and regressor rows at instants of a motion, with derivatives by the motion."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Stencil:
         freeze_arrays(self, weights=(3 * self.shifts.shape[2], len(self.shifts)))
 
     def displaced_motion(self, motion: Motion) -> Motion:
-        """Motion of M samples displaced by each of the E shifts: E M samples, shift by shift."""
+        """Motion of M samples displaced by each of the shifts: E M samples."""
         states = np.stack([motion.q, motion.qd, motion.qdd])
         displaced = states + self.shifts[:, :, None, :]  # (E, 3, M, n)
         columns = displaced.transpose(1, 0, 2, 3).reshape(3, -1, states.shape[2])
@@ -93,10 +93,10 @@ def _position_stencil(joint: Joint) -> tuple[tuple[float, float], ...]:
 class SampledRows:
     """Values of a model's regressor slots at samples of a motion, by the compiled kernel.
 
-    A slot is an entry of a channel's regressor row on the barycentric parameters; a row on the base
-    parameters is the channel's slots times a constant matrix (`channels`). The compiled kernel is
-    used for any number of samples, since a search evaluates the same few hundred samples thousands
-    of times.
+    A slot is an entry of a channel's regressor row on the layout's columns (barycentric parameters,
+    joint laws); a row on the base parameters is the channel's slots times a constant matrix
+    (`channels`). The compiled kernel is used for any number of samples, since a search evaluates
+    the same few hundred samples thousands of times.
     """
 
     def __init__(

@@ -88,9 +88,9 @@ def force_curvature_bounds(tree: Tree, motion: Array) -> ForceCurvatureBounds:
 
 @dataclass(frozen=True, eq=False)
 class _MotionBounds:
-    """Bounds of the norms of a body's motion and their first two time derivatives, (3, W) each.
+    """Bounds of a body's motion and its first two time derivatives, (3, W) each.
 
-    Row 0 bounds the vector in the body's axes, rows 1 and 2 its time derivatives.
+    Row 0 bounds the norm of the vector in the body's axes, rows 1 and 2 those of its derivatives.
     """
 
     speed: Array  # angular velocity
@@ -163,7 +163,7 @@ def _child_bounds(
 
 
 def _jet_product(a: Array, b: Array) -> Array:
-    """Value and first two derivatives of a product from those of both factors, (3, ...)."""
+    """Value and first two derivatives of a product of two factors, (3, ...) each."""
     second = a[2] * b[0] + 2 * a[1] * b[1] + a[0] * b[2]
     return np.stack([a[0] * b[0], a[1] * b[0] + a[0] * b[1], second])
 
@@ -201,7 +201,7 @@ class PlateRange:
             )
 
     def rows(self, margin: float) -> tuple[tuple[str, ...], Array, Array]:
-        """Labels of the k limits, rows A (k, 6) and bounds b (k,) of A wrench <= b.
+        """Labels, rows A (k, 6) and bounds b (k,) of the limits A wrench <= b.
 
         Both signs of every channel with finite range, as shares of the range; then, with
         `half_lengths`, both signs of |My| <= margin x Fz and |Mx| <= margin y Fz, x and y the half

@@ -13,6 +13,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import count_with_noun, printable_line
 from testbed.core.base.summary_table import number_with_sigma, numbers_with_sigma
 from testbed.core.estimation.diagnostics.model_errors import coefficient_text, treatment
+from testbed.core.estimation.diagnostics.residuals import p_value_text
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.influence import names_by_influence
 from testbed.core.estimation.model_errors.estimates import ModelErrorEstimate
@@ -378,13 +379,8 @@ def _estimate_tables(estimate: Estimate) -> Iterator[Table]:
                 for channel, rms, unit, share in columns
             ],
             f"Part of the residuals that repeats with the motion {repeatable.repetition_text}: "
-            f"chance {_probability_text(repeatable.chance)} if it were noise",
+            f"{p_value_text(repeatable.chance)} of the F test against noise",
         )
-
-
-def _probability_text(chance: float) -> str:
-    """Text of a probability with two digits; "below 1e-99" for smaller values."""
-    return "below 1e-99" if chance < 1e-99 else f"{chance:.2g}"
 
 
 def _model_error_row(estimate: Estimate, error: ModelErrorEstimate) -> list[str]:

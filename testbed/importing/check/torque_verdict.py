@@ -412,7 +412,7 @@ def _reasons(
         if not has_contradictory_scales(reading) or abs(logs[live].mean()) > np.log(
             MAX_TORQUE_SCALE
         ):
-            reasons.append("all torques would be of another size")
+            reasons.append("all torques would be on another scale")
     if reading.relative_rms(live) > MAX_TOTAL_RESIDUAL:
         reasons.append(f"it leaves {reading.relative_rms(live):.0%} of the torques")
     after = _relative_rms(case, reading)[live]

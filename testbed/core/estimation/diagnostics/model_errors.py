@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
-from testbed.core.estimation.diagnostics.residuals import chance_text
+from testbed.core.estimation.diagnostics.residuals import p_value_text
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.model_errors.estimates import ModelErrorEstimate
 
@@ -76,7 +76,7 @@ def repetition_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         level="warning" if estimate.model_errors else None,
         causes=["encoder-steps"] * noise.quantization_matters,
         again=repeatable.repetition_text,
-        chance=chance_text(repeatable.chance),
+        chance=p_value_text(repeatable.chance),
         channel=estimate.label(largest_channel),
         rms=repeatable.rms[largest_channel],
         unit=estimate.channel_units[largest_channel],

@@ -122,9 +122,9 @@ def unidentifiable_beside_bias(noise: NoiseModel | None) -> tuple[str, ...]:
     return () if known else noise.hidden
 
 
-def chance_text(chance: float) -> str:
-    """Text of a probability, such as "chance 1e-05"."""
-    return f"chance {chance:.0e}" if chance > 1e-99 else "chance below 1e-99"
+def p_value_text(p_value: float) -> str:
+    """Text of a p-value, such as "p-value 1e-05"."""
+    return f"p-value {p_value:.0e}" if p_value > 1e-99 else "p-value below 1e-99"
 
 
 def _drifting_channels(noise: NoiseModel) -> list[bool]:
