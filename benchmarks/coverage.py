@@ -96,9 +96,8 @@ class Study:
         free, tree = with_free_base(model.tree()), model.tree()
         if self.kind != "hip in the air":
             return free
-        return tree_beyond_sensor(
-            free, model.links(), ForceSensor(tree.joints[tree.index(HIP)].body)
-        )
+        sensor = ForceSensor(tree.joints[tree.index(HIP)].body)
+        return tree_beyond_sensor(free, model.links(), sensor)
 
     def recorded(self, seed: int, seconds: float) -> Recording:
         """A recording of a motion of its own; the humanoid's are twice as long, at 50 Hz.

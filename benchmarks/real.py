@@ -118,10 +118,8 @@ def scripts(file: ModelFile, seen: Source, problem: Problem) -> dict[str, Array]
     measured = part.measured(problem.method)
     model = model_of(file.path, tree.names, file.lock, free=drives is None)
     signals = part.time, part.position[:, order], measured if drives is None else measured[:, order]
-    turns, rotors = (
-        (None if drives is None else transmission_matrix(tree)),
-        "rotor" in problem.settings.words,
-    )
+    turns = None if drives is None else transmission_matrix(tree)
+    rotors = "rotor" in problem.settings.words
     values = {}
     for name, (bodies, own) in script(model, tree.names, signals, turns, rotors).items():
         values[name] = np.zeros(len(problem.names))
