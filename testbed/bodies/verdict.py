@@ -164,10 +164,10 @@ def _reservations(estimate: Posterior, reported: str) -> Iterator[Diagnostic]:
                 share,
                 method=method,
                 level="error" if is_grave[c] else None,
-                causes=() if is_grave[c] else ("faint",),
                 residual=residual[c],
                 signal=signal[c],
                 unit=units[c],
+                small=not is_grave[c],
             )
     yield from _episodes(estimate)
     if (

@@ -34,7 +34,7 @@ def model_error_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         yield make_diagnostic(
             f"model-error.{treatment(error)}",
             RESIDUAL_SUBJECTS[estimate.method],
-            float(error.share[largest_channel]),
+            min(float(error.share[largest_channel]), 1.0),
             significance=float(np.sqrt(2 * error.gain)),
             method=estimate.method,
             causes=[error.meaning] if error.physical else [],
