@@ -121,7 +121,7 @@ def of_robots(figures: dict[str, Any]) -> Iterator[str]:
 def of_experiments(figures: dict[str, Any]) -> Iterator[str]:
     """Claim, picture and figures of each experiment."""
     for path in experiments():
-        if path.stem not in figures:  # the test of pictures says what to do
+        if path.stem not in figures:  # the test of pictures reports what to do
             continue
         found = figures[path.stem]
         title = path.stem.replace("_", " ").capitalize()

@@ -111,8 +111,8 @@ def campaign(folder: Path) -> None:
         top += 26 + CELL * (len(rows) + 1) + 12
     row, column = cells[0].levels
     parts.append(words(8, top, f"Rows: {row}. Columns: {column}.", "start", "", "faint"))
-    says = "Rms relative error of both methods over friction that the model lacks and plate noise"
-    save("campaign", LEFT + wide * len(columns) + 8, top + 14, parts, says)
+    label = "Rms relative error of both methods over friction that the model lacks and plate noise"
+    save("campaign", LEFT + wide * len(columns) + 8, top + 14, parts, label)
 
 
 def smaller(path: Path, width: int) -> None:

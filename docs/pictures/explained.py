@@ -190,9 +190,9 @@ def save_sensors() -> None:
         ("Motor currents", f"ratios of the {torques.count}, friction", scaled),
     )
     parts: list[str] = []
-    for k, (title, says, seen) in enumerate(panels):
+    for k, (title, label, seen) in enumerate(panels):
         x, y = 8 + SIDE * 13.5 * (k % 2), 24 + SIDE * 9.8 * (k // 2)
-        parts += [words(x, y, title, "start", BOLD), words(x, y + 18, says, colour="faint")]
+        parts += [words(x, y, title, "start", BOLD), words(x, y + 18, label, colour="faint")]
         for place, name in enumerate(STANDARD_NAMES):
             at = x + 20 + SIDE * (place + 0.45)
             parts.append(words(at, y + 38, name, "middle", "font-size: 10px", "faint"))
@@ -204,12 +204,12 @@ def save_sensors() -> None:
                 for place, code in enumerate(codes)
             ]
     y = 24 + SIDE * 19.6
-    for x, code, says in (
+    for x, code, label in (
         (8, IDENTIFIABLE_ALONE, "alone"),
         (90, IDENTIFIABLE_IN_COMBINATION, "in combination"),
         (230, 0, "never"),
     ):
-        parts += [square(x, y - 13, SIDE - 5, FILLS[code]), words(x + 22, y, says, colour="faint")]
+        parts += [square(x, y - 13, SIDE - 5, FILLS[code]), words(x + 22, y, label, colour="faint")]
     save("sensors", SIDE * 27, y + 12, parts, "Which of the ten parameters of each link of a UR5 "
          "a force plate, a wrist sensor, joint torques and currents identify")  # fmt: skip
 

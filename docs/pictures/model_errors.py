@@ -60,8 +60,8 @@ def main() -> None:
             f'<polyline points="{points}" fill="none" stroke="var(--wrench)" stroke-width="1.3"/>'
         )
     height = 20 + HIGH * -(-len(shown) // COLUMNS)
-    says = "Residuals of a UR5 in 20 s by each family of model errors, beside the parameters"
-    save("model_errors", 24 + WIDE * COLUMNS, height, parts, says)
+    label = "Residuals of a UR5 in 20 s by each family of model errors, beside the parameters"
+    save("model_errors", 24 + WIDE * COLUMNS, height, parts, label)
 
 
 if __name__ == "__main__":

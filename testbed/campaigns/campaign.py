@@ -101,7 +101,7 @@ class FactorTable(StrictTable):
         def number(match: re.Match[str]) -> str:
             if isinstance(level, str):
                 raise ExperimentError(
-                    f"factor '{self.name}': '{level}' is no number, and {setting} asks for one"
+                    f"factor '{self.name}': '{level}' is no number, and {setting} requires one"
                 )
             return repr(level * float(match[1]))
 

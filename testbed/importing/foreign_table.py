@@ -321,7 +321,7 @@ class ForeignTable:
         """
         array = np.asarray(self.load_array(name))
         if array.shape != self.shapes[name] or array.dtype.kind not in REAL_DTYPE_KINDS:
-            raise ValueError(f"'{name}' is not what the file says of it")
+            raise ValueError(f"'{name}' differs from its description in the file")
         array = np.atleast_2d(array)
         rows, columns = array.shape
         return array.T if rows >= columns else array  # rows are samples

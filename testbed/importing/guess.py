@@ -388,7 +388,7 @@ def _plate_keys(
         description = (
             ""
             if stated.matrix
-            else f"the file says {raw}: six rows, N and N m of one {raw}"
+            else f"the file states {raw}: six rows, N and N m of one {raw}"
         )
         yield "units", ["N", "N m"], "by the matrix"
         yield "matrix", stated.matrix or "", description

@@ -252,6 +252,6 @@ def check_stated_units(label: str, table: AnyTable, file: ForeignTable) -> None:
                 "force": "; say the plate's gains, `matrix`",
             }
             raise RecordingError(
-                f"{label}: the file says that '{column}' is in {stated}, the mapping says {unit}"
+                f"{label}: the file has '{column}' in {stated}, the mapping in {unit}"
                 + remedies.get(kind, "") * (stated in RAW_UNITS)
             )

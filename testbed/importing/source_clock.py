@@ -153,7 +153,7 @@ def sample_times(
         )
     if known is not None and table.time_unit not in (None, known):
         raise RecordingError(
-            f"sources.{name}: the file says its times are in {known}, time_unit is "
+            f"sources.{name}: the file states its times are in {known}, time_unit is "
             f"{table.time_unit}; leave time_unit out"
         )
     if not np.isfinite(stamps).any():

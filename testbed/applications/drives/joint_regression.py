@@ -236,7 +236,7 @@ def torque_regression_data(
     )
     if not joints:
         raise SettingsError(
-            "no joint lies beyond the force sensor: it says nothing of a drive"
+            "no joint lies beyond the force sensor: its wrench is independent of all drives"
         )
     return TorqueRegressionData(
         drives, passes, equations, prediction_matrix, joints, combined
@@ -284,7 +284,7 @@ def _check_rows(torques: TorqueRegressionData, joint: int, terms: Array) -> None
     name, count = equations.channels[joint], equations.used[joint]
     if not equations.squares[joint] > MAX_ZERO_TORQUE**2 * count:
         raise RecordingError(
-            f"the torque of joint '{name}' is zero throughout, which says nothing of its drive: "
+            f"the torque of joint '{name}' is zero throughout, and shows nothing of its drive: "
             "record it, or hold the joint (--lock)"
         )
     products = torques.products(joint, terms)

@@ -119,7 +119,7 @@ def flange_payload(
     ]
     if unidentifiable:
         raise SettingsError(
-            "a controller wants all of a payload, and "
+            "a controller requires all of a payload, and "
             f"{shortened_list(unidentifiable)} are not identifiable"
         )
     body_index, sensor = tree.index(estimate.joint), tree.sensor

@@ -22,7 +22,7 @@ def parse_known(words: Iterable[str]) -> dict[str, tuple[float, float]]:
         name, equals, numbers = word.rpartition("=")
         value, _, sigma = numbers.partition("+-")
         if name in known:
-            raise SettingsError(f"--known says {name} twice")
+            raise SettingsError(f"--known contains {name} twice")
         try:
             known[name] = float(value), float(sigma or 0.0)
         except ValueError:

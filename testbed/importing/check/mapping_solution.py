@@ -344,7 +344,7 @@ def _with_pedestal(
         f"{without:.3g} kg if "
     )
     return draft.with_key(
-        "wrench", "pedestal", value, f"{note}not; the model file says {file:.3g}"
+        "wrench", "pedestal", value, f"{note}not; the model file states {file:.3g}"
     )
 
 

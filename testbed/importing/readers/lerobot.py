@@ -127,7 +127,7 @@ def _features_and_rate(path: Path) -> tuple[dict[str, Any], float]:
         or not isinstance(fps, int | float)
         or not 0 < fps < 1e6
     ):
-        raise RecordingError(f"{path}: meta/info.json says no `features` and `fps`")
+        raise RecordingError(f"{path}: meta/info.json has no `features` and `fps`")
     if not str(version := info.get("codebase_version")).startswith(VERSIONS):
         raise RecordingError(
             f"{path}: a LeRobot dataset of version {str(version)[:20]}; 2.1 and 3.0 are known, "

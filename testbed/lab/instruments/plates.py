@@ -35,7 +35,7 @@ PLATE_MODELS: Mapping[str, PlateModel] = {
         moment_noise=0.8,
         full_scale=(4450.0, 4450.0, 8900.0, 2670.0, 1780.0, 1330.0),
         source="noise: rms over the channels above 2 Hz at 100 Hz of examples/ur5e_plate; ranges: "
-        "8.9 kN as its type (2000 lb) says, the others in proportion, our own choice",
+        "8.9 kN as its type (2000 lb) states, the others in proportion, our own choice",
     ),
     "ati-axia80-m20": PlateModel(
         0.25, 0.01, (500.0, 500.0, 900.0, 20.0, 20.0, 20.0), ATI_SOURCE
