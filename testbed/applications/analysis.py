@@ -37,18 +37,19 @@ from testbed.core.robot.tree import Tree
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """Estimates of a robot's parameters from one recording.
+    """Estimates of a robot's parameters made from one recording.
 
     Attributes:
-        estimates: Least-squares estimate by signal ("wrench", "torque"); only signals that
-            determine the parameters.
-        failures: Error by signal, for requested signals without an estimate.
-        posterior: Estimates with the model file's bodies as prior, by signal; only for imported
-            recordings, then also for signals whose data leave parameters undetermined.
+        estimates: Least-squares estimates keyed by signal ("wrench", "torque"); only for signals
+            that determine the parameters.
+        failures: Errors keyed by signal, for requested signals without an estimate.
+        posterior: Estimates with the model file's bodies as prior, keyed by signal. They exist for
+            imported recordings only, and then also for signals whose data leave some parameters
+            undetermined.
         bodies: Physically consistent bodies fitted to all estimates together; None if not
-            requested, without any estimate, or if the fit failed.
+            requested, if there is no estimate, or if the fit failed.
         bodies_failure: Error of the fit of consistent bodies; None if the fit succeeded or was not
-            made.
+            attempted.
     """
 
     estimates: Mapping[Signal, Estimate]
@@ -71,23 +72,24 @@ def analyse(
     threads: int | None = None,
     progress: Progress = ignore_progress,
 ) -> Analysis:
-    """Identify the robot by each requested signal, then fit posteriors and consistent bodies.
+    """Identify a robot from each requested signal, then fit posteriors and consistent bodies.
 
-    A `RecordingError`, `UnidentifiableParameters`, or error of the fit of bodies is stored in the
-    result, not raised. Posteriors are computed for imported recordings only.
+    A `RecordingError`, an `UnidentifiableParameters` error, or an error of the fit of bodies is
+    stored in the result, not raised. Posteriors are computed for imported recordings only.
 
     Args:
         tree: The robot.
         recording: As for `identify`.
         settings: As for `identify`.
-        methods: Signals for which estimates are made; for a part beyond a force sensor "torque" is
-            skipped.
+        methods: Signals from which estimates are made. "torque" is skipped if `tree` contains only
+            the links beyond a force sensor.
         gravity: As for `identify`.
-        doubt: Covariance of the plate's calibration by which the recording was corrected.
-        prior_error: Relative error of the model file's bodies, as for `posterior`.
+        doubt: Covariance of the plate's calibration with which the recording was corrected.
+        prior_error: Relative error assumed for the model file's bodies, as for `posterior`.
         bodies: Prior and options of the fit of physically consistent bodies; None for no such fit.
         threads: Number of threads; default one per processor.
-        progress: Called with the numbers of processed samples and of all samples, signal by signal.
+        progress: Called with the numbers of processed samples and of all samples, for each signal
+            in turn.
     """
     estimates: dict[Signal, Estimate] = {}
     failures: dict[Signal, RecordingError | UnidentifiableParameters] = {}

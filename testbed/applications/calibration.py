@@ -37,14 +37,14 @@ DEFAULT_NUISANCES = ("matrix", "bias", "skew")
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Errors of the force plate as estimated from a robot's motion.
+    """Sensor errors of the force plate, estimated from a robot's motion.
 
     Attributes:
         robot: The robot's name.
-        known: Value and standard deviation of the quantities known before, by name.
-        numbers: Estimated coefficients of the plate's errors, with standard deviations.
+        known: Values and standard deviations of the quantities known beforehand, by name.
+        numbers: Estimated coefficients of the plate's sensor errors, with standard deviations.
         estimate: Estimate of the robot's parameters from the same fit; None if not available.
-        correlation: Correlation matrix of the coefficients, (k, k); None if they are taken as
+        correlation: Correlation matrix of the k coefficients, (k, k); None if they are treated as
             independent.
     """
 
@@ -58,10 +58,10 @@ class Calibration:
 
     @property
     def doubt(self) -> CalibrationCovariance:
-        """Covariance of the coefficients that apply to other recordings, too, as a square root.
+        """Covariance of the coefficients that also apply to other recordings, as a square root.
 
-        Coefficients that belong to a single recording, as the zero offset, are omitted. Without a
-        correlation matrix the coefficients are independent.
+        Coefficients that hold for a single recording only, such as the zero offset, are omitted.
+        Without a correlation matrix, the coefficients are treated as independent.
         """
         recording_terms = {
             error.term for error in estimable_errors() if error.of_one_recording
@@ -82,9 +82,9 @@ class Calibration:
 
     @property
     def matrix(self) -> Array:
-        """Sensitivity matrix of the plate, (6, 6): reading = matrix @ wrench + bias.
+        """Sensitivity matrix of the plate, (6, 6), with `reading = matrix @ wrench + bias`.
 
-        Elements that were not estimated have their nominal values (identity matrix).
+        Elements that were not estimated have the values of the identity matrix.
         """
         values = {coefficient.name: coefficient.value for coefficient in self.numbers}
         elements = [values.get(name, nominal) for name, _, nominal in SENSITIVITIES]
@@ -92,7 +92,7 @@ class Calibration:
 
     @property
     def matrix_sigma(self) -> Array:
-        """Standard deviations of the sensitivity matrix, (6, 6); 0 for elements not estimated."""
+        """Standard deviations of the sensitivity matrix, (6, 6); 0 where not estimated."""
         sigma = {coefficient.name: coefficient.sigma for coefficient in self.numbers}
         return np.array([sigma.get(name, 0.0) for name, _, _ in SENSITIVITIES]).reshape(
             6, 6
@@ -114,16 +114,18 @@ def calibrate(
     Args:
         tree: The robot; its inertias are not used, except for `settings.zeros`.
         recording: Recording with the wrench, as for `identify`.
-        known: Value, or value and standard deviation, by name: "mass" [kg], "gain/Fz", or a base
-            parameter.
+        known: Value, or value and standard deviation, of each known quantity by name: "mass" [kg],
+            "gain/Fz", or a base parameter.
         gravity: Gravity, (3,) [m/s^2], bedplate frame; default as for `identify`.
-        settings: Signal processing; its nuisances, if any, replace `DEFAULT_NUISANCES`.
+        settings: Signal processing; its sensor-error terms (nuisances), if any, replace
+            `DEFAULT_NUISANCES`.
         threads: Number of threads; default one per processor.
         progress: Called with the numbers of processed samples and of all samples.
 
     Raises:
         RecordingError: The recording cannot be used.
-        SettingsError: The known quantities do not suffice; the message lists what is undetermined.
+        SettingsError: The known quantities do not suffice; the message lists what remains
+            undetermined.
     """
     settings = replace(
         settings,
@@ -144,9 +146,9 @@ def calibrate(
 
 
 def _correlation(estimate: Estimate) -> Array:
-    """Correlation matrix of the estimated sensor errors, (k, k).
+    """Correlation matrix of the k estimated sensor-error coefficients, (k, k).
 
-    The diagonal is one, also for coefficients that are known exactly.
+    Diagonal elements are 1, also for coefficients that are known exactly.
     """
     correlation, _ = unit_diagonal(estimate.nuisance_covariance)
     np.fill_diagonal(correlation, 1.0)
@@ -156,7 +158,7 @@ def _correlation(estimate: Estimate) -> Array:
 def corrected(source: Source, tree: Tree, plate: Calibration) -> Source:
     """Recording with the plate's calibrated errors removed from the wrench.
 
-    Zero offset and drift, which belong to a single recording, are not removed.
+    Zero offset and drift apply to a single recording only and are not removed.
 
     Args:
         source: The recording.

@@ -28,18 +28,18 @@ from testbed.core.robot.tree import Tree
 def longest_segment_motion(
     recording: Recording, settings: Settings = DEFAULTS
 ) -> tuple[Motion, slice]:
-    """Joint motion in a recording's longest segment without gaps, and its sample range.
+    """Joint motion in a recording's longest segment without gaps, with its sample range.
 
-    If the recording has both velocities and accelerations, they are used as recorded; otherwise
-    positions are low-pass filtered and differentiated as for identification.
+    Velocities and accelerations are used as recorded if the recording has both. Otherwise positions
+    are low-pass filtered and differentiated as in identification.
 
     Args:
         recording: The recording.
         settings: Settings of the low-pass filter.
 
     Returns:
-        The motion, and the slice of the recording's samples that it covers; the filter shortens
-            the segment by half its length at either end.
+        The motion, and the slice of the recording's samples that it covers. At either end the
+        filter shortens the segment by half the filter's length.
 
     Raises:
         RecordingError: The segment is not longer than the filter.
@@ -65,12 +65,12 @@ def longest_segment_motion(
 def barycentric_parameters(estimate: Estimate, others: Array | None = None) -> Array:
     """Barycentric parameters consistent with an estimate's base parameters, (n, 10).
 
-    Solution theta of S theta = delta (S: matrix of the minimal set, delta: base parameters) of
-    minimum norm, or nearest to `others`. All solutions give the same forces of the estimate's
-    signal.
+    The parameters theta solve S theta = delta, where S is the matrix of the minimal set and delta
+    the base parameters. Of all solutions, which give the same forces in the estimate's signal, the
+    one of minimum norm, or nearest to `others`, is returned.
 
     Args:
-        estimate: Estimate by either signal, of n joints.
+        estimate: Estimate from either signal, for a robot of n joints.
         others: Barycentric parameters from which unidentifiable combinations are taken, (n, 10);
             default zero.
     """
@@ -87,23 +87,23 @@ def predicted_signals(
     motion: Motion,
     estimates: Mapping[Signal, Estimate],
 ) -> tuple[dict[Signal, Array], dict[Signal, Array]]:
-    """Wrenches and motor torques predicted along a motion, by signal of the estimate.
+    """Wrenches and motor torques predicted along a motion, keyed by the estimate's signal.
 
-    Joint torques do not determine all parameters of the wrench: the estimate by torques predicts a
-    wrench only together with an estimate by the plate, from which the missing combinations are
-    taken; without it no wrench is predicted. Torques predicted from the plate contain no friction
-    and no rotor inertia.
+    Joint torques do not determine all parameters of the wrench. An estimate from torques therefore
+    predicts a wrench only together with an estimate from the plate, which supplies the missing
+    combinations of parameters. Torques predicted from the plate contain no friction and no rotor
+    inertia.
 
     Args:
         tree: The robot; its masses are not used, except for the pedestal's weight if the recording
-            states no tare.
-        recording: Recording with the gravity and the pedestal's share of the wrench.
+            has no tare.
+        recording: Recording with gravity and the pedestal's share of the wrench.
         motion: Motion of M samples within the recording.
-        estimates: Estimates by signal, "wrench" and "torque", in any order.
+        estimates: Estimates keyed by signal, "wrench" and "torque", in any order.
 
     Returns:
-        Wrenches of the bedplate on the robot by signal, pedestal included, in the bedplate frame
-            about its origin, (M, 6) [N, N m]; and motor torques by signal, (M, n) [N m or N].
+        Wrenches of the bedplate on the robot, including the pedestal, in the bedplate frame about
+        its origin, (M, 6) [N, N m]; and motor torques, (M, n) [N m or N]. Both are keyed by signal.
     """
     tree = with_recorded_gravity(tree, recording)
     tare = recording_tare(tree, recording)
@@ -137,14 +137,14 @@ def joint_term_torque(
 ) -> Array:
     """Torque of friction, rotors and other joint terms of an estimate, (M, n) [N m or N].
 
-    Terms that scale with temperature are zero at 25 degC or if no temperatures are given. Other
-    terms with a multiplier (drift of offsets, load) count as zero.
+    Terms proportional to temperature are zero at 25 degC, and if no temperatures are given. Other
+    terms with a multiplier (drift of offsets, load) are omitted.
 
     Args:
         motion: Motion of M samples, joints in the order of `estimate.joints`.
-        estimate: Estimate by either signal; zero torque for an estimate by the plate, which has no
-            joint terms.
-        excess_temperature: Temperatures minus 25 degC, (M, n) [K]; default none, for 25 degC.
+        estimate: Estimate from either signal. An estimate from the plate has no joint terms, so its
+            torque is zero.
+        excess_temperature: `temperature - 25 degC`, (M, n) [K]; None for 25 degC.
     """
     torque = np.zeros_like(motion.qd)
     drives = estimate.drives
@@ -168,7 +168,7 @@ def steady_joint_torque(speed: Array, estimate: Estimate) -> Array:
 
     Args:
         speed: Joint velocities, (M, n) [rad/s or m/s].
-        estimate: Estimate by either signal.
+        estimate: Estimate from either signal.
     """
     steady = Motion(
         np.arange(len(speed), dtype=float), speed, speed, np.zeros_like(speed)
@@ -181,14 +181,14 @@ def prediction_variances(
 ) -> Array:
     """Variances of the predicted signal due to the covariance of the parameters, (M, C).
 
-    Columns are the C channels of the estimate's signal: six of the wrench, or n joint torques. The
-    variance of the model-error correction is excluded.
+    The C columns are the channels of the estimate's signal: six of the wrench, or n joint torques.
+    The variance of the model-error correction is not included.
 
     Args:
         tree: The robot; only its geometry is used.
-        recording: Recording with the gravity.
+        recording: Recording with gravity.
         motion: Motion of M samples.
-        estimate: Estimate by either signal.
+        estimate: Estimate from either signal.
     """
     tree = with_recorded_gravity(tree, recording)
     terms = () if estimate.drives is None else estimate.drives.terms
@@ -212,10 +212,10 @@ def prediction_variances(
 
 
 def covariance_without_correction(estimate: EstimateSummary) -> Array:
-    """Covariance of the p parameters without the share of the model-error correction, (p, p).
+    """Covariance of the p parameters without the effect of the model-error correction, (p, p).
 
-    The validation adds the variance of the model errors, which contains that share, separately. An
-    estimate without correction keeps its whole covariance.
+    The validation separately adds the variance of the model errors, which includes that effect. For
+    an estimate without correction, the covariance is unchanged.
     """
     if estimate.correction is None:
         return estimate.covariance

@@ -60,25 +60,27 @@ MAX_ERROR_RATIO = 2.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation(Diagnosed, Summarized):
-    """Residuals of an estimate on another recording, by channel, with their expected sizes.
+    """Residuals of an estimate on another recording, with their expected sizes.
 
     Attributes:
         method: Signal of the estimate.
-        channels: Names of the measured channels, C.
+        channels: Names of the C measured channels.
         units: Unit of each channel, N or N m.
-        rows: Number of counted rows of each channel; without rows all statistics are nan.
+        rows: Number of rows used in each channel; without rows all statistics are nan.
         signal: Rms of the measured rows, (C,) [N, N m].
         residual: Rms residual, (C,) [N, N m].
-        mean: Mean residual, (C,) [N, N m]; it shows a zero offset that has changed between the
+        mean: Mean residual, (C,) [N, N m]; it reveals a zero offset that changed between the
             recordings.
         noise: Rms residual of the estimate on its own recording, (C,) [N, N m].
         spread: Rms error expected from the parameters' covariance and the model errors, (C,) [N, N
             m].
-        within: Fraction of rows inside the 95 % band of noise, parameter and model errors, (C,).
-        zero_unknown: True if the plate's zero offset is unknown: mean residuals are then no errors.
-        errors: Prediction errors of all candidates, the estimate included; None without other
-            candidates.
-        held: Name of the estimate among the candidates: "plain" or "posterior".
+        within: Fraction of rows inside the 95 % band of noise, parameter errors and model errors,
+            (C,).
+        zero_unknown: True if the plate's zero offset is unknown, so that mean residuals are not
+            errors.
+        errors: Prediction errors of all candidate models, including the estimate; None without
+            other candidates.
+        held: Name of the estimate among the candidate models: "plain" or "posterior".
     """
 
     method: Signal
@@ -113,7 +115,7 @@ class Validation(Diagnosed, Summarized):
 
     @property
     def summary(self) -> SummaryTable:
-        """Table of each channel's rms residual, relative to signal and to expected error."""
+        """Table of rms residuals by channel, relative to the signal and the expected error."""
         parts = zip(
             self.residual,
             self.units,
@@ -140,22 +142,22 @@ class Validation(Diagnosed, Summarized):
 
     @property
     def relative_residual(self) -> Array:
-        """Rms residual over rms signal, (C,); nan for a channel without signal."""
+        """Ratio of rms residual to rms signal, (C,); nan for a channel without signal."""
         return _quotient(self.residual, self.signal)
 
     @property
     def expected_error(self) -> Array:
-        """Rms error expected from noise and parameter covariance together, (C,) [N, N m]."""
+        """Rms error expected from noise and parameter covariance, (C,) [N, N m]."""
         return np.hypot(self.noise, self.spread)
 
     @property
     def ratio(self) -> Array:
-        """Error over expected error, (C,): about one or less for a valid estimate."""
+        """Ratio of error to expected error, (C,); about 1 or less for a valid estimate."""
         return _quotient(self.error, self.expected_error)
 
     @property
     def error(self) -> Array:
-        """Rms residual, (C,) [N, N m]; its standard deviation if the plate's zero is unknown."""
+        """Rms residual, or standard deviation if the plate's zero is unknown, (C,) [N, N m]."""
         return self.scatter if self.zero_unknown else self.residual
 
     @property
@@ -165,19 +167,19 @@ class Validation(Diagnosed, Summarized):
 
     @property
     def matters(self) -> tuple[bool, ...]:
-        """True for each channel whose error is not negligible.
+        """Flags of channels whose error is not negligible.
 
-        An error is compared with the largest signal among the channels of its unit
-        (`NEGLIGIBLE_FRACTION`).
+        An error is negligible if it is below the fraction `NEGLIGIBLE_FRACTION` of the largest
+        signal among the channels of the same unit.
         """
         return non_negligible_residuals(self.error, self.signal, self.units)
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostics of channels predicted worse than by rival models, or than expected.
+        """Diagnostics of channels predicted worse than by rival models, or worse than expected.
 
-        Rivals are the predictions "plain" and "refitted", if there are `errors`. Errors are worse
-        than expected beyond `MAX_ERROR_RATIO` times the expected error, unless negligible.
+        The rival models are "plain" and "refitted", if there are `errors`. An error is worse than
+        expected if it exceeds `MAX_ERROR_RATIO` times the expected error and is not negligible.
         """
         worse: list[Diagnostic] = []
         if self.errors is not None:
@@ -201,30 +203,30 @@ def validate(
     models: Mapping[str, Array] | None = None,
     held: str = LEAST_SQUARES,
 ) -> Validation:
-    """Compute an estimate's residuals on a recording that was not used for the fit.
+    """Compute an estimate's residuals on a recording that was not used to make it.
 
-    Rows are formed as by `identify`, with the same filters, tare and gravity. Estimated sensor
-    errors are removed first, except those of a single recording (the plate's zero and drift); no
-    constant is subtracted, see `Validation.mean`. Model errors that the estimate contains and that
+    Rows are formed as in `identify`, with the same filters, tare and gravity. Estimated sensor
+    errors are removed first, except those of a single recording (zero and drift of the plate). No
+    mean is subtracted; see `Validation.mean`. Model errors that the estimate contains and that
     apply to other motions are subtracted, and their variance is part of the expected error.
 
     Args:
         tree: The robot; its inertias are not used, except for `settings.zeros`.
-        recording: Another recording of the same robot and instrument, as for `identify`.
+        recording: Another recording of the same robot and sensors, as for `identify`.
         estimate: Estimate to be validated.
-        gravity: Gravity, (3,) [m/s^2], bedplate frame; default the recording's, if stated, else the
-            estimate's.
-        settings: Settings of the signal processing; joint terms that the estimate chose replace
-            the choice. Default the settings of the estimate.
+        gravity: Gravity, (3,) [m/s^2], bedplate frame; default the recording's, if present,
+            otherwise the estimate's.
+        settings: Settings of the signal processing; default those of the estimate. If joint terms
+            are to be selected, those selected in the estimate are used.
         threads: Number of threads; default one per processor.
         progress: Called with the numbers of processed samples and of all samples.
-        models: Values of the same unknowns by rival models (`Posterior.models`), (p,), by name;
-            their prediction errors become `Validation.errors`.
+        models: Parameter values of rival models (`Posterior.models`), (p,), by name; their
+            prediction errors become `Validation.errors`.
         held: Name of the estimate among the models: "plain" or "posterior".
 
     Raises:
         RecordingError: The recording cannot be used for the estimate's signal.
-        SettingsError: Robot and settings lead to other parameters than the estimate's.
+        SettingsError: Robot and settings lead to other parameters than those of the estimate.
     """
     if settings is None:
         settings = estimate.settings
@@ -256,16 +258,16 @@ def _validation(
 ) -> Validation:
     """Statistics of the residuals on another recording.
 
-    Model errors of the estimate's correction, if any, are subtracted; the drift of joint offsets
-    counts as zero.
+    Model errors in the estimate's correction, if there is one, are subtracted. The drift of joint
+    offsets is not included.
 
     Args:
-        problem: Problem of the other recording.
-        source: Other recording, sensor errors removed.
+        problem: Identification problem of the other recording.
+        source: The other recording, with sensor errors removed.
         estimate: Estimate to be validated.
 
     Raises:
-        RecordingError: Numbers are too large for sums.
+        RecordingError: Values are too large to be summed.
     """
     model_variance = np.zeros(len(problem.channels))
     covariance = covariance_without_correction(estimate)
@@ -320,10 +322,10 @@ def _validation(
 
 
 def _diagnostics(validation: Validation) -> Iterator[Diagnostic]:
-    """Diagnostics of channels whose error exceeds `MAX_ERROR_RATIO` times the expected error.
+    """Yield diagnostics of channels with errors above `MAX_ERROR_RATIO` times the expected error.
 
-    Negligible errors give none. The code is "estimate.prediction-offset" if the residual exceeds
-    the limit only by its mean, else "estimate.prediction".
+    Negligible errors are skipped. The code is "estimate.prediction-offset" if only the mean makes
+    the residual exceed the limit, and "estimate.prediction" otherwise.
     """
     # never true where the zero offset is unknown
     is_constant = (

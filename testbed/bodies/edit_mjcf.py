@@ -35,20 +35,24 @@ _JOINT_FIELDS = {
 def edit_mjcf(
     path: Path, changes: Iterable[ModelEdit], note: list[str]
 ) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
-    """Copy an MJCF file's bytes with edited inertials, friction and motors, once for each change.
+    """Yield a copy of an MJCF file's bytes with edited numbers for each change.
+
+    Inertials, friction, armatures and motors are edited.
 
     Args:
         path: MJCF file.
-        changes: Changes of one copy each.
-        note: Lines of a comment with the source of the numbers, at the beginning of the root.
+        changes: Changes, one for each copy.
+        note: Lines of a comment on the source of the numbers, which is inserted at the beginning of
+            the root element.
 
     Yields:
-        Bytes of the copy, and its diagnostics: masses or moments of inertia below the compiler's
-        boundmass or boundinertia, balanceinertia, and actuators that are no motors.
+        Bytes of the copy, and diagnostics of masses or moments of inertia below the compiler's
+        boundmass or boundinertia, of balanceinertia, and of actuators that are not motors.
 
     Raises:
-        ModelError: The file cannot be edited: MuJoCo computes inertias from geoms or scales masses,
-            or bodies, joints or actuators come from other files or are copies.
+        ModelError: The file cannot be edited, because MuJoCo computes inertias from geoms or scales
+            masses, or because bodies, joints or actuators come from other files or are generated
+            copies.
     """
     spec = parse_mjcf(path)
     if (
@@ -101,15 +105,15 @@ def _set_motors(
     Args:
         document: MJCF file to change.
         spec: MuJoCo's specification of the file.
-        gears: Factor on the gear of the motor, by joint; the gear of an added motor. Other joints
-            are unchanged.
-        delay: Delay from a command to its torque [s], of the motors of these joints.
+        gears: Factors on the gears of the motors, keyed by joint; an added motor has the factor as
+            its gear. Other joints are unchanged.
+        delay: Delay from a command to its torque for the motors of these joints [s].
 
     Returns:
-        A diagnostic of joints whose actuators are no motors.
+        A diagnostic of joints whose actuators are not motors; empty if there are no such joints.
 
     Raises:
-        ModelError: Actuators come from other files or are copies.
+        ModelError: Actuators come from other files or are generated copies.
     """
     buffer_size = str(buffered_command_count(delay, spec.option.timestep))
     delay_attributes = (
@@ -177,7 +181,7 @@ def _body_elements(
         path: MJCF file, for messages.
 
     Raises:
-        ModelError: Bodies or joints come from other files or are copies.
+        ModelError: Bodies or joints come from other files or are generated copies.
     """
     child_elements = [
         each for element in elements for each in _children_through_frames(element)
@@ -223,7 +227,7 @@ def _children_through_frames(element: XmlElement) -> Iterator[XmlElement]:
 def _inertial_attributes(inertia: Inertia) -> dict[str, str | None]:
     """Attributes of <inertial>: centre of mass, mass, and central inertia in the body's axes.
 
-    None for attributes of other representations of the inertia, which are to be removed.
+    Attributes of other representations of the inertia are None, so that they are removed.
     """
     central, others = inertia.central, dict.fromkeys(("fullinertia", *_INERTIA_AXES))
     attributes = {
@@ -243,10 +247,10 @@ def _inertial_attributes(inertia: Inertia) -> dict[str, str | None]:
 def _compiler_changes(
     spec: mujoco.MjSpec, links: Mapping[str, Inertia]
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of compiler settings that concern the written masses or inertias.
+    """Diagnostics of compiler settings that affect the written masses or inertias.
 
-    Masses below boundmass and principal moments below boundinertia, which MuJoCo increases; and
-    balanceinertia, which no longer has an effect.
+    Reported are masses below boundmass and principal moments of inertia below boundinertia, which
+    MuJoCo increases, and balanceinertia, which no longer has an effect.
     """
     compiler = spec.compiler
     masses = {name: inertia.mass for name, inertia in links.items()}

@@ -25,19 +25,22 @@ _DYNAMICS_FIELDS = {"friction": "coulomb", "damping": "viscous"}
 def edit_urdf(
     path: Path, changes: Iterable[ModelEdit], note: list[str]
 ) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
-    """Copy a URDF file's bytes with edited inertials and friction, once for each change.
+    """Yield a copy of a URDF file's bytes with edited numbers for each change.
+
+    Inertials and joint friction are edited.
 
     Args:
         path: URDF file.
-        changes: Changes of one copy each.
-        note: Lines of a comment with the source of the numbers, at the beginning of the root.
+        changes: Changes, one for each copy.
+        note: Lines of a comment on the source of the numbers, which is inserted at the beginning of
+            the root element.
 
     Yields:
         Bytes of the copy, and diagnostics of values that URDF cannot express: rotor inertias,
         torque ratios and the drives' delay.
 
     Raises:
-        ModelError: The file is no XML, has a DOCTYPE, or a link has more than one inertial.
+        ModelError: The file is not XML or has a DOCTYPE, or a link has more than one inertial.
     """
     document = XmlBytes(path.read_bytes(), str(path))
     root = document.root

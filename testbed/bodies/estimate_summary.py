@@ -25,7 +25,7 @@ from testbed.core.robot.tree import Tree
 
 
 def estimate_of_summary(tree: Tree, summary: EstimateSummary) -> Estimate:
-    """Estimate rebuilt from a summary: minimal set and joint terms, without data.
+    """Estimate rebuilt from a summary, with minimal set and joint terms but without data.
 
     Values, covariance and residuals are those of the summary. Normal equations and numbers of rows
     are zero; condition number and relative residuals are nan.
@@ -85,8 +85,8 @@ def check_parameters(problem: Problem, summary: EstimateSummary) -> None:
         summary: Summary of the estimate.
 
     Raises:
-        SettingsError: Gravity gives another minimal set, or the names or order of the parameters or
-            the number of channels differ.
+        SettingsError: The gravity of the recording leads to a different minimal set, or the names
+            or order of the parameters or the number of channels differ.
     """
     tree, minimal, names = problem.tree, problem.minimal, problem.names
     estimate_set = method_minimal_set(

@@ -1,4 +1,4 @@
-"""Gaussian prior of bodies and joint terms by the model file, and regularised fits."""
+"""Gaussian prior of bodies and joint terms from the model file, and regularised fits."""
 
 from __future__ import annotations
 
@@ -56,15 +56,16 @@ centre of mass of a slender link may lie beside its axis."""
 
 @dataclass(frozen=True, eq=False)
 class LinearPrior:
-    """Gaussian prior of the unknowns: mean + root z, z independent with unit variance.
+    """Gaussian prior of the unknowns, `mean + root z` with standard normal z.
 
     Attributes:
         mean: Prior mean of the unknowns, (p,).
-        root: Root of the prior covariance, root root', (p, r); columns of the bodies first.
-        body_coordinate_count: Number of coordinates z that belong to bodies, ten a body.
-        min_noise_variance: Smallest variance of each channel's noise, (C,) [N^2, N^2 m^2]; infinite
-            for channels with too few rows, which are ignored.
-        lower_bounds: Lower bounds of z, (r,): friction is not negative; -inf for no bound.
+        root: Root of the prior covariance root root', (p, r); the columns of the bodies come first.
+        body_coordinate_count: Number of coordinates z that belong to bodies, ten per body.
+        min_noise_variance: Smallest noise variance of each of the C channels, (C,) [N^2, N^2 m^2];
+            infinite for channels with too few rows, which are ignored.
+        lower_bounds: Lower bounds of z, (r,), which keep friction from becoming negative; -inf
+            where there is no bound.
     """
 
     mean: Array
@@ -81,7 +82,7 @@ class LinearPrior:
     def coordinate_sigmas(self, error: float) -> Array:
         """Standard deviations of z for another relative error of the bodies, (r,).
 
-        The error for coordinates of the bodies, one for all other coordinates.
+        They are `error` for the coordinates of bodies and one for all other coordinates.
 
         Args:
             error: Relative error of the bodies.
@@ -102,12 +103,13 @@ class LinearPrior:
 def linear_prior(
     problem: Problem, prior: PriorBodies, rows: RowProducts
 ) -> LinearPrior:
-    """Gaussian prior of the unknowns by the model file; joint terms are nearly free.
+    """Gaussian prior of the unknowns from the model file, with nearly free joint terms.
 
-    The relative error of the bodies is one, of placeholder bodies three. A joint term has mean zero
-    and the sigma that alone explains the rms torque, because files often state a guess. A term that
-    channels with enough rows do not excite has the file's value as sigma and, unless that is a
-    placeholder, as mean. The prior of a wrench is conditioned on `Settings.known`.
+    The relative error is one for bodies and three for bodies with placeholder numbers. Because the
+    joint terms in files are often guesses, a joint term has mean zero and a sigma for which the
+    term alone would explain the rms torque. If no channel with enough rows excites a term, the
+    value in the file is its sigma and, unless that value is a placeholder, also its mean. In wrench
+    problems, the prior is conditioned on the values of `Settings.known`.
 
     Args:
         problem: Problem with the unknowns.
@@ -144,7 +146,7 @@ def linear_prior(
 
 
 def bodies_prior(problem: Problem, prior: PriorBodies, error: float) -> Gaussian:
-    """Gaussian prior of the bodies' minimal parameters by the model file.
+    """Gaussian prior of the bodies' minimal parameters from the model file.
 
     Args:
         problem: Problem with the minimal parameters.
@@ -166,10 +168,11 @@ def bodies_prior(problem: Problem, prior: PriorBodies, error: float) -> Gaussian
 def _terms_prior(
     problem: Problem, prior: PriorBodies, rows: RowProducts
 ) -> tuple[Array, Array]:
-    """Mean, (p,), and root of the covariance, (p, k), of the k joint terms.
+    """Prior mean, (p,), and root of the prior covariance, (p, k), of k joint terms.
 
-    For an excited term mean zero and, as sigma, rms torque over rms column in the channel with the
-    largest column; else the value of the file as sigma and, without a placeholder, as mean.
+    For an excited term, the mean is zero and sigma is the ratio of the rms torque to the rms of the
+    term's regressor column, in the channel where this column is largest. For other terms, sigma is
+    the value in the file, which is also the mean unless it is a placeholder.
     """
     drives, zeros = problem.drives, np.zeros(len(problem.names))
     if drives is None:
@@ -197,7 +200,10 @@ def _terms_prior(
 
 
 def _with_bounded_slenderness(prior: PriorBodies) -> PriorBodies:
-    """Prior with principal second moments raised to MIN_MOMENT_RATIO of each body's greatest."""
+    """Prior with lower bounds on the bodies' principal second moments.
+
+    The bound is `MIN_MOMENT_RATIO` times the largest principal second moment of the body.
+    """
     bodies = np.array(prior.standard)
     for k in prior.massive_bodies:
         body = Inertia.of_pseudo(pseudo_inertias(bodies[k]))
@@ -210,10 +216,11 @@ def _with_bounded_slenderness(prior: PriorBodies) -> PriorBodies:
 
 
 def _conditioned_on_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
-    """Prior of a wrench problem conditioned on masses, centres and parameters (`Settings.known`).
+    """Prior of a wrench problem conditioned on the known values in `Settings.known`.
 
-    The uncertainty of these facts is the stated one, whatever the relative error of the bodies.
-    Other priors are returned unchanged.
+    The known values are masses, centres of mass and parameters. Their uncertainty is the stated
+    uncertainty, whatever the relative error of the bodies. The priors of other problems are
+    returned unchanged.
     """
     names = {TOTAL_MASS, *problem.names}
     given_facts = {
@@ -245,8 +252,8 @@ def _conditioned_on_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
 def _lower_bounds(problem: Problem, mean: Array, root: Array) -> Array:
     """Lower bounds of z, (r,), at which friction in mean + root z is zero.
 
-    -inf for coordinates of bodies, of terms that are not dissipative, and of friction in a
-    coefficient that is a sum with terms of other shafts.
+    The bound is -inf for coordinates of bodies, of terms that are not dissipative, and of friction
+    that is part of a coefficient together with terms of other shafts.
 
     Args:
         problem: Problem with the unknowns.
@@ -264,7 +271,7 @@ def _lower_bounds(problem: Problem, mean: Array, root: Array) -> Array:
 
 
 def fit_with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
-    """Least squares with a prior, under noise variances estimated from the residuals.
+    """Least squares with a prior, with noise variances estimated from the residuals.
 
     Friction coefficients are not negative (`LinearPrior.lower_bounds`).
 
@@ -273,7 +280,7 @@ def fit_with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]
         prior: Prior of the unknowns.
 
     Returns:
-        Values of the unknowns, (p,), and their covariance without the bounds of friction, (p, p).
+        Values of the unknowns, (p,), and their covariance if friction had no bounds, (p, p).
     """
     fit = fit_with_estimated_noise(
         rows.equations(prior.root, prior.mean), prior, rows.has_enough_rows
@@ -283,12 +290,12 @@ def fit_with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class PriorFit:
-    """Posterior mean and covariance of a Gaussian prior's coordinates z, without units.
+    """Posterior mode and covariance of the dimensionless coordinates z of a Gaussian prior.
 
     Attributes:
         z: Estimate, (r,).
-        covariance: Covariance of z without the bounds of friction, (r, r).
-        noise: Variance of each channel's noise, (C,) [N^2, N^2 m^2].
+        covariance: Covariance of z if friction had no bounds, (r, r).
+        noise: Noise variance of each of the C channels, (C,) [N^2, N^2 m^2].
     """
 
     z: Array
@@ -299,15 +306,15 @@ class PriorFit:
 def fit_with_estimated_noise(
     equations: NormalEquations, prior: LinearPrior, has_enough_rows: NDArray[np.bool_]
 ) -> PriorFit:
-    """Posterior of z under noise variances estimated from the residuals, channel by channel.
+    """Posterior of z with the noise variance of each channel estimated from the residuals.
 
     Fit and noise variances are computed in turn, as in iteratively reweighted least squares, with
-    `NOISE_ITERATIONS` (6) fits. A channel with too few rows has at least its mean square about the
-    prior mean as noise variance.
+    `NOISE_ITERATIONS` (6) fits. For a channel with too few rows, the noise variance is at least the
+    mean square deviation of the measurement from the prediction of the prior mean.
 
     Args:
         equations: Normal equations in z.
-        prior: Prior of z, with the least noise and the bounds.
+        prior: Prior of z, with the smallest noise variances and the lower bounds.
         has_enough_rows: True for channels with enough rows to estimate the noise, (C,).
     """
     used = np.maximum(equations.used, 1.0)
@@ -331,11 +338,14 @@ def fit_with_estimated_noise(
 def fit_with_noise(
     equations: NormalEquations, noise: Array, lower_bounds: Array
 ) -> PriorFit:
-    """Posterior of z under given noise variances; two filtered rows count as one independent row.
+    """Posterior of z for given noise variances.
+
+    Two filtered rows count as one independent row (`ROWS_PER_INDEPENDENT_ROW`).
 
     Args:
         equations: Normal equations in z.
-        noise: Variance of each channel's noise, (C,); infinite for channels that are ignored.
+        noise: Noise variance of each of the C channels, (C,); infinite for channels that are
+            ignored.
         lower_bounds: Lower bounds of z, (r,).
     """
     weights = np.where(equations.used > 0, 1 / (ROWS_PER_INDEPENDENT_ROW * noise), 0.0)
@@ -346,7 +356,7 @@ def fit_with_noise(
 def bounded_posterior(
     normal: Array, right: Array, lower_bounds: Array
 ) -> tuple[Array, Array]:
-    """Mode within the bounds, (r,), and unbounded covariance, (r, r), of the posterior of z.
+    """Posterior mode of z within bounds, (r,), and posterior covariance without bounds, (r, r).
 
     The prior of z has zero mean and unit covariance.
 
@@ -361,7 +371,7 @@ def bounded_posterior(
 
 
 def _bounded_mode(free: Array, covariance: Array, least: Array) -> Array:
-    """Mode of a Gaussian within lower bounds, (r,), by a primal-dual active set.
+    """Mode of a Gaussian within lower bounds, (r,), by a primal-dual active-set method.
 
     Source    [HIK02]
 
@@ -390,9 +400,10 @@ def _bounded_mode(free: Array, covariance: Array, least: Array) -> Array:
 def determined_by_data(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:
     """Mask of the unknowns that the data determine without the prior, (p,).
 
-    True if the variance is at most a tenth of the prior variance (`MIN_DETERMINED_SHARE`) after a
-    fit with a nearly uninformative prior, of a thousand times the sigmas: correlations of mass,
-    centre and inertia in the model file must not count as data.
+    An unknown is determined if a fit with a nearly uninformative prior reduces its variance to at
+    most a tenth of the variance of `prior` (`MIN_DETERMINED_SHARE`). The sigmas of the
+    uninformative prior are a thousand times as large, because correlations of mass, centre of mass
+    and inertia in the model file must not count as data.
 
     Args:
         rows: Products of the rows that are used.
@@ -405,7 +416,7 @@ def determined_by_data(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool
 
 
 def file_with_fitted_terms(rows: RowProducts, prior: LinearPrior) -> Array:
-    """Unknowns with exactly the model file's bodies, and joint terms fitted to the rows, (p,).
+    """Unknowns with the model file's bodies and joint terms fitted to rows, (p,).
 
     Args:
         rows: Products of the rows that are used.

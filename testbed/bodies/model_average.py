@@ -1,8 +1,8 @@
-"""Model average: fits with priors of several relative errors, weighted by held-out parts.
+"""Model average: fits with priors of several relative errors, weighted by held-out losses.
 
-A short recording does not show the error of a model file, and every fixed value is wrong for some
-file. Fits that held-out parts cannot distinguish are averaged: torques and wrenches are linear in
-the unknowns, so the average is an estimate.
+A short recording does not determine the relative error of a model file, and any fixed value is
+wrong for some files. Therefore fits that held-out parts cannot distinguish are averaged. The
+average is again an estimate, because torques and wrenches are linear in the unknowns.
 """
 
 from __future__ import annotations
@@ -54,18 +54,19 @@ PRIOR_ERROR_EXPONENT = 0.15
 
 @dataclass(frozen=True, eq=False)
 class ModelAverage:
-    """Weighted mean and covariance of estimates by priors of several relative errors.
+    """Weighted mean and covariance of fits whose priors have different relative errors.
 
     Attributes:
         prior: Prior with a relative error of one.
-        errors: Relative error of the bodies, by fit, (k,).
+        errors: Relative error of the bodies in each of the k fits, (k,).
         weights: Weights of the fits, (k,).
-        noise: Variance of each channel's noise by fit, (k, C) [N^2, N^2 m^2].
+        noise: Noise variance of each of the C channels in each fit, (k, C) [N^2, N^2 m^2].
         values: Values of the unknowns, (p,).
-        covariance: Covariance of the mixture, within the fits and between them, (p, p).
+        covariance: Covariance of the mixture of the fits, (p, p), which includes the differences
+            between the fits.
         prior_error: Relative error of the file's bodies: rms deviation from the file of the
             coordinates that the data determine, or the only error in `errors`.
-        by_rows: Values of the fits, (k, p), by training rows of the held-out parts.
+        by_rows: Values of the fits, (k, p), keyed by training rows of the held-out parts.
     """
 
     prior: LinearPrior
@@ -80,10 +81,10 @@ class ModelAverage:
     def values_fitted_to(self, rows: RowProducts) -> Array:
         """Values of the unknowns fitted to other rows, with the same weights and noise, (p,).
 
-        Fits in `by_rows` are not computed again.
+        Fits that are stored in `by_rows` are not repeated.
 
         Args:
-            rows: Products of the rows.
+            rows: Gram matrices of the rows.
         """
         if rows not in self.by_rows:
             return self.weights @ _values_by_fit(
@@ -94,7 +95,8 @@ class ModelAverage:
     def conditioned_on(self, values: Array, covariance: Array) -> ModelAverage:
         """Model average conditioned on a generalised least-squares estimate instead of the rows.
 
-        The estimate's information includes correlated noise; the weights of the fits are unchanged.
+        The covariance of the estimate accounts for correlated noise; the weights of the fits are
+        unchanged.
 
         Args:
             values: Generalised least-squares estimate of the same unknowns, (p,).
@@ -123,17 +125,18 @@ class ModelAverage:
 def model_average(
     parts: RowParts, prior: LinearPrior, errors: Sequence[float]
 ) -> ModelAverage:
-    """Average fits with priors of several relative errors, weighted by losses on held-out parts.
+    """Average fits with different prior errors, weighted by losses on held-out parts.
 
-    The loss of a part is the logarithm of its mean squared prediction error over the noise variance
-    of the fit with the weakest prior (last error); weights fall with the difference from the best
-    loss in standard errors over the parts. The covariance assumes relative errors of at least
-    `REFERENCE_PRIOR_ERROR`, and noise inflated by the scatter over the parts.
+    The loss of a part is the logarithm of the ratio of its mean squared prediction error to the
+    noise variance of the fit with the weakest prior (last error). The weight of a fit falls with
+    the difference between its loss and the smallest loss, in standard errors over the parts. The
+    covariance is computed with relative errors of at least `REFERENCE_PRIOR_ERROR`, and with noise
+    variances that are increased according to the scatter over the parts.
 
     Args:
-        parts: Products of the recording's rows, part by part.
+        parts: Gram matrices of the recording's rows, part by part.
         prior: Prior with a relative error of one.
-        errors: Relative errors of the bodies, ascending; a single error is one fit without weights.
+        errors: Relative errors of the bodies, ascending; a single error gives a single fit.
     """
     whole, error_array = parts.total, np.array(errors)
     equations = whole.equations(prior.root, prior.mean)
@@ -181,12 +184,13 @@ def model_average(
 
 
 def _errors_without_data(errors: Array) -> Array:
-    """Relative errors for parameters without data, (k,): at least REFERENCE_PRIOR_ERROR (0.5).
+    """Relative errors for parameters that the data do not determine, (k,).
 
-    A single error was requested and stays unchanged.
+    They are at least `REFERENCE_PRIOR_ERROR` (0.5). A single error was requested and stays
+    unchanged.
 
     Args:
-        errors: Relative errors of the bodies by fit, (k,).
+        errors: Relative errors of the bodies in the k fits, (k,).
     """
     return errors if len(errors) == 1 else np.maximum(errors, REFERENCE_PRIOR_ERROR)
 
@@ -195,7 +199,7 @@ def _mixture(weights: Array, values: Array, covariances: Array) -> tuple[Array, 
     """Mean, (p,), and covariance, (p, p), of a mixture of k Gaussian distributions.
 
     Args:
-        weights: Weights, (k,), whose sum is one.
+        weights: Weights, (k,), with a sum of one.
         values: Means, (k, p).
         covariances: Covariances, (k, p, p).
     """
@@ -211,10 +215,10 @@ def _fits_under_noise(
     """Fits for given relative errors of the bodies and given noise variances.
 
     Args:
-        equations: Normal equations in z of the prior.
+        equations: Normal equations in the coordinates z of the prior.
         prior: Prior with a relative error of one.
         errors: Relative errors of the bodies, (k,).
-        noise: Variance of each channel's noise by fit, (k, C).
+        noise: Noise variance of each of the C channels in each fit, (k, C).
     """
     return [
         fit_with_noise(
@@ -231,19 +235,19 @@ def _noise_inflation(
     fit: PriorFit,
     error: float,
 ) -> Array:
-    """Ratio of the scores' scatter over parts to that of white noise, by channel, (C,).
+    """Ratio of the scatter of scores over parts to the scatter for white noise, (C,).
 
-    Scores are the derivatives of half the squared residuals with respect to z, summed over a part.
-    The ratio is at least one; correlated noise and model errors make it larger.
+    A score is the derivative of half the sum of squared residuals of a part with respect to z. The
+    ratio of each channel is at least one; correlated noise and model errors increase it.
 
     Source    [LZ86]
 
     Args:
-        parts: Products of the recording's rows, part by part.
-        equations: Normal equations of all rows in z of the prior with an error of one.
+        parts: Gram matrices of the recording's rows, part by part.
+        equations: Normal equations of all rows in the coordinates z of the prior.
         prior: Prior with a relative error of one.
-        fit: Fit with another relative error.
-        error: Relative error of the bodies in that fit.
+        fit: Fit with the relative error `error`.
+        error: Relative error of the bodies in the fit.
     """
     root, whole = prior.with_error_factor(error).root, parts.total
     values = prior.mean + root @ fit.z
@@ -275,15 +279,15 @@ def _noise_inflation(
 def _file_error(
     fits: Sequence[PriorFit], errors: Array, weights: Array, prior: LinearPrior
 ) -> float:
-    """Rms deviation from the file of the bodies' coordinates that the data determine.
+    """Rms deviation of the bodies from the file, in coordinates that the data determine.
 
-    Each coordinate counts by the share of its prior variance that the data remove;
-    REFERENCE_PRIOR_ERROR counts as the deviation of one more coordinate.
+    Each coordinate contributes the fraction of its prior variance that the data remove to the
+    number of coordinates. `REFERENCE_PRIOR_ERROR` is the deviation of one additional coordinate.
 
     Source    [Mac92]
 
     Args:
-        fits: Fits by relative error of the bodies.
+        fits: Fits, one for each relative error of the bodies.
         errors: Relative errors of the bodies, (k,).
         weights: Weights of the fits, (k,).
         prior: Prior with a relative error of one.
@@ -302,7 +306,7 @@ def _file_error(
 def _scaled_equations(
     equations: NormalEquations, prior: LinearPrior, error: float
 ) -> NormalEquations:
-    """Normal equations in z of the prior with another relative error of the bodies."""
+    """Normal equations in the coordinates z for another relative error of the bodies."""
     scale = prior.coordinate_sigmas(error)
     normal = equations.normal * np.outer(scale, scale)
     return replace(equations, normal=normal, right=equations.right * scale)
@@ -311,13 +315,13 @@ def _scaled_equations(
 def _values_by_fit(
     rows: RowProducts, prior: LinearPrior, errors: Array, noise: Array
 ) -> Array:
-    """Values of the unknowns fitted to some rows under given noise, by fit, (k, p).
+    """Values of the unknowns in k fits to given rows with given noise, (k, p).
 
     Args:
-        rows: Products of the rows.
+        rows: Gram matrices of the rows.
         prior: Prior with a relative error of one.
         errors: Relative errors of the bodies, (k,).
-        noise: Variance of each channel's noise by fit, (k, C).
+        noise: Noise variance of each of the C channels in each fit, (k, C).
     """
     equations, values = rows.equations(prior.root, prior.mean), []
     for error, variances in zip(errors.tolist(), noise, strict=True):
@@ -335,16 +339,16 @@ def _held_out_losses(
     noise: Array,
     by_rows: Mapping[RowProducts, Array],
 ) -> Array:
-    """Losses of held-out parts by fit, (parts, k), averaged over the block lengths.
+    """Losses of k fits on held-out parts, (parts, k), averaged over block lengths.
 
-    1, 2 and 4 consecutive parts are held out together. Parts without rows are left out.
+    Blocks of 1, 2 and 4 consecutive parts are held out together. Parts without rows are left out.
 
     Args:
-        parts: Products of the recording's rows, part by part.
+        parts: Gram matrices of the recording's rows, part by part.
         prior: Prior with a relative error of one.
         errors: Relative errors of the bodies, (k,).
-        noise: Variance of each channel's noise by fit, (k, C).
-        by_rows: Values of the fits, (k, p), by training rows, as far as known.
+        noise: Noise variance of each of the C channels in each fit, (k, C).
+        by_rows: Values of the fits, (k, p), keyed by training rows, if they are already computed.
     """
     losses = defaultdict[int, list[Array]](list)
     for block_length in BLOCK_LENGTHS:
@@ -359,12 +363,12 @@ def _held_out_losses(
 
 
 def _part_losses(part: RowProducts, values: Array, noise: Array) -> Array:
-    """Logarithms of mean squared prediction errors over the noise variance, by fit, (k,).
+    """Logarithms of mean squared prediction errors relative to the noise variance, (k,).
 
     Args:
-        part: Products of the held-out rows.
-        values: Values of the unknowns by fit, (k, p).
-        noise: Variance of each channel's noise, (C,).
+        part: Gram matrices of the held-out rows.
+        values: Values of the unknowns in each of the k fits, (k, p).
+        noise: Noise variance of each of the C channels, (C,).
     """
     squares = np.array(
         [part.residual_squares(each, part.mean_residuals(each)) for each in values]
@@ -376,11 +380,12 @@ def _part_losses(part: RowProducts, values: Array, noise: Array) -> Array:
 
 
 def _fit_weights(losses: Array, errors: Array) -> Array:
-    """Weights of the fits by their losses on held-out parts, (k,); the sum is one.
+    """Weights of the fits according to losses on held-out parts, (k,).
 
-    Proportional to exp(-d^2 / 2) error^-0.15, with errors of at least 0.03; d is the mean
-    difference from the best fit's loss in standard errors, which are bounded to 0.01 ... 0.2. With
-    fewer than `MIN_PARTS` (3) parts only the fit with `DEFAULT_PRIOR_ERROR` (0.3) counts.
+    The weights have a sum of one and are proportional to exp(-d^2 / 2) max(error, 0.03)^-0.15. Here
+    d is the mean difference from the loss of the best fit divided by its standard error, which is
+    bounded to 0.01 ... 0.2. With fewer than `MIN_PARTS` (3) parts, only the fit with
+    `DEFAULT_PRIOR_ERROR` (0.3) has a weight.
 
     Args:
         losses: Losses, (parts, k).

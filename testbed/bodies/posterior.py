@@ -1,10 +1,11 @@
 """Posterior of the parameters: least squares with the model file's bodies as a Gaussian prior.
 
-The pseudo-inertia of every body is J = U Y U', where U U' is that of the file. The coordinates of
-Y have the same standard deviation: the linear form of the prior of consistent bodies. The error of
-the file is estimated from held-out parts. The joint terms are nearly free, but friction is not
-negative. Where the data alone determine all parameters the prior is left out, and the estimate is
-that of generalised least squares, which weights correlated noise.
+The pseudo-inertia of every body is J = U Y U', where U U' is the pseudo-inertia in the file. All
+coordinates of Y have the same standard deviation, as in the linearised prior of consistent bodies.
+The relative error of the file is estimated from held-out parts of the recording. The joint terms
+are nearly free, but friction is not negative. If the data alone determine all parameters, the prior
+is left out, and the result is the generalised least-squares estimate, which accounts for correlated
+noise.
 """
 
 from __future__ import annotations
@@ -59,23 +60,26 @@ WELL_CONDITIONED = 100.0
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Posterior(EstimateSummary):
-    """Estimate by a recording and its model file; sigma includes the prior's uncertainty.
+    """Estimate from a recording and a model file; `sigma` includes the uncertainty of the prior.
 
     Attributes:
         instrument: Name of the instrument in reports.
         count: Number of minimal parameters of the bodies, which come before the joint terms.
         file: Values of the model file, (p,).
         refitted: Values of the model file with the joint terms fitted to the data, (p,).
-        prior_sigma: Standard deviations before the data, (p,).
-        share: Share of the prior variance that the data remove, (p,).
-        alone: True for parameters that the data determine without the prior: their variance is at
+        prior_sigma: Prior standard deviations, (p,).
+        share: Fraction of the prior variance that the data remove, (p,).
+        alone: True for parameters that the data determine without the prior, to a variance of at
             most a tenth of the prior variance, (p,).
-        prior_error: Relative error of the model file's bodies, as stated or by held-out parts.
+        prior_error: Relative error of the model file's bodies, as stated or as estimated from
+            held-out parts.
         used: True if the prior is needed; else the values are those of least squares.
-        by_part: Rms residual in consecutive parts of the recording, (parts, C) [N, N m].
+        by_part: Rms residual of each of the C channels in consecutive parts of the recording,
+            (parts, C) [N, N m].
         duration: Duration of the recording [s].
         errors: Prediction errors of the posterior and its rivals on held-out parts.
-        consistent: Values by physically consistent bodies, (p,); None where not requested.
+        consistent: Values from physically consistent bodies, (p,); None if these were not
+            requested.
     """
 
     instrument: str
@@ -108,9 +112,10 @@ class Posterior(EstimateSummary):
 
     @property
     def models(self) -> dict[str, Array]:
-        """Values of the unknowns, (p,), by name of the prediction.
+        """Values of the unknowns, (p,), keyed by name of the prediction.
 
-        "file", "refitted", "posterior", and "consistent" where consistent bodies were requested.
+        The names are "file", "refitted" and "posterior", and "consistent" if consistent bodies were
+        requested.
         """
         models = {FILE: self.file, REFITTED: self.refitted, POSTERIOR: self.values}
         return (
@@ -128,9 +133,9 @@ class Posterior(EstimateSummary):
     def worse_channels(self, reported: str) -> tuple[Diagnostic, ...]:
         """Diagnostics of held-out channels that the model file or least squares predict better.
 
-        The reported estimate is compared with least squares, and both the reported estimate and the
-        consistent bodies with the model file with fitted joint terms, by the thresholds of
-        `PredictionErrors.worse_channels`.
+        The reported estimate is compared with least squares. Both the reported estimate and the
+        consistent bodies are compared with the model file with fitted joint terms. The thresholds
+        are those of `PredictionErrors.worse_channels`.
 
         Args:
             reported: Name of the reported estimate: "posterior" or "plain".
@@ -150,12 +155,13 @@ class Posterior(EstimateSummary):
 
 @dataclass(frozen=True, eq=False)
 class ReportedEstimate:
-    """Estimate that a result reports for one method, and its rivals.
+    """Reported estimate of one method, and the values of all candidates.
 
     Attributes:
-        estimate: Estimate with the model file as prior if the prior is needed; else least squares.
+        estimate: Estimate with the model file as prior if the prior is needed; otherwise the
+            least-squares estimate.
         held: Name of the reported candidate: "posterior" or "plain".
-        models: Values of the unknowns, (p,), by candidate; {} without a posterior.
+        models: Values of the unknowns, (p,), keyed by candidate; {} if there is no posterior.
     """
 
     estimate: EstimateSummary
@@ -169,16 +175,16 @@ def reported_estimate(
     *,
     plain: bool = False,
 ) -> ReportedEstimate:
-    """Choose between least squares and posterior of one method.
+    """Choose between the least-squares estimate and the posterior of one method.
 
-    The posterior is reported where the data do not determine all parameters (`Posterior.used`), or
-    without least squares; else least squares. Sensor errors and settings are those of least squares
-    where there is such an estimate.
+    The posterior is reported if the data do not determine all parameters (`Posterior.used`) or if
+    there is no least-squares estimate. Otherwise the least-squares estimate is reported. Sensor
+    errors and settings are those of the least-squares estimate if it exists.
 
     Args:
-        least_squares: Least-squares estimate; None where the data determine none.
-        posterior_estimate: Posterior with the model file as prior; None without a prior.
-        plain: True to report least squares in any case.
+        least_squares: Least-squares estimate; None if the data do not determine one.
+        posterior_estimate: Posterior with the model file as prior; None if there is no prior.
+        plain: True to report the least-squares estimate in any case.
 
     Raises:
         ValueError: Both are None, or their parameters differ.
@@ -210,17 +216,19 @@ def compute_posterior(
     *,
     prior_error: float | None = None,
 ) -> Posterior:
-    """Compute the posterior of a recording's rows with the model file's bodies as prior.
+    """Compute the posterior from a recording's rows, with the model file's bodies as prior.
 
-    The values are a model average over `PRIOR_ERRORS`, or the fit with the stated error; for a
-    well-conditioned estimate, conditioned on it instead of the rows. They are those of least
-    squares (`used` is False) where every channel has enough rows and the data determine all
-    parameters (`determines_all`).
+    The values are a model average over the relative errors `PRIOR_ERRORS`, or the fit with the
+    stated error. If the least-squares estimate is well conditioned, the fits are conditioned on
+    this estimate instead of on the rows. If every channel has enough rows and the data determine
+    all parameters (`determines_all`), the values are those of the least-squares estimate and `used`
+    is False.
 
     Args:
-        rows: Products of the recording's rows; joint friction of its robot is that of the file.
+        rows: Gram matrices of the recording's rows; the joint friction of the problem's robot is
+            that of the file.
         prior: Bodies of the model file (`prior_of`).
-        estimate: Least-squares estimate of the same rows; None where the data determine none.
+        estimate: Least-squares estimate from the same rows; None if the data do not determine one.
         prior_error: Relative error of the file's bodies; None to estimate it from held-out parts.
     """
     problem, method, all_rows = rows.problem, rows.problem.method, rows.total
@@ -284,7 +292,7 @@ def _model_error_covariance(
     """Covariance that model errors add under a prior, (p, p); 0 without model errors.
 
     Args:
-        estimate: Least-squares estimate; None where the data determine none.
+        estimate: Least-squares estimate; None if the data do not determine one.
         prior: Prior of the unknowns.
         covariance: Covariance of the unknowns without model errors, (p, p).
     """
@@ -295,7 +303,7 @@ def _model_error_covariance(
 
 
 def _without_model_errors(estimate: Estimate) -> Array:
-    """Covariance of an estimate without the share of model errors, (p, p)."""
+    """Covariance of an estimate without the contribution of model errors, (p, p)."""
     covariance = np.array(estimate.covariance)
     if estimate.model_error_effect is None:
         return covariance
@@ -307,11 +315,11 @@ def corrected_row_parts(problem: Problem, estimate: Estimate | None) -> RowParts
     """Gram matrices of a problem's rows, with the estimated instrument faults corrected.
 
     Wrench channels have an unknown constant if the estimate includes the plate's bias, has
-    unidentifiable parameters or is None; channels of joint torques do not.
+    unidentifiable parameters or is None. Channels of joint torques have no unknown constant.
 
     Args:
         problem: Problem with the terms and the filter of the estimate.
-        estimate: Least-squares estimate; None where the data determine none.
+        estimate: Least-squares estimate; None if the data do not determine one.
     """
     source, free = problem.source, True
     if estimate is not None:
@@ -339,13 +347,14 @@ def file_values(problem: Problem, prior: PriorBodies) -> Array:
 
 
 def is_well_conditioned(estimate: Estimate | None) -> TypeGuard[Estimate]:
-    """Test whether an estimate's equations are well conditioned and all variances positive.
+    """Test whether an estimate is well conditioned and all its variances are positive.
 
-    The condition number, with columns of unit length, is below `WELL_CONDITIONED` (100). The noise
-    model from the residuals is reliable then. False without an estimate.
+    An estimate is well conditioned if the condition number of its equations, with columns of unit
+    length, is below `WELL_CONDITIONED` (100). The noise model derived from its residuals is then
+    reliable. The result is False if there is no estimate.
 
     Args:
-        estimate: Least-squares estimate; None where the data determine none.
+        estimate: Least-squares estimate; None if the data do not determine one.
     """
     if estimate is None:
         return False
@@ -357,11 +366,12 @@ def determines_all(
 ) -> TypeGuard[Estimate]:
     """Test whether the data determine every parameter, so that no prior is needed.
 
-    True if each least-squares variance is below a ninth of the prior variance: the data then remove
-    over `MIN_DETERMINED_SHARE` (90 %) of the latter. False without an estimate.
+    No prior is needed if each least-squares variance is below a ninth of the prior variance: the
+    data then remove over `MIN_DETERMINED_SHARE` (90 %) of the prior variance. The result is False
+    if there is no estimate.
 
     Args:
-        estimate: Least-squares estimate; None where the data determine none.
+        estimate: Least-squares estimate; None if the data do not determine one.
         prior: Prior of the unknowns.
     """
     if estimate is None:
@@ -377,11 +387,12 @@ def held_out_errors(
 ) -> tuple[PredictionErrors, ...]:
     """Prediction errors of several fits on held-out parts, for each kind of split.
 
-    The splits are those of `RowParts.splits`: "like" always, "faster" where speeds differ enough.
+    The splits are those of `RowParts.splits`: "like" always, and "faster" if the speeds differ
+    enough.
 
     Args:
-        parts: Products of the rows, part by part.
-        fits: Functions from rows to values of the unknowns, (p,), by name of the prediction.
+        parts: Gram matrices of the rows of each part.
+        fits: Functions from rows to values of the unknowns, (p,), keyed by name of the prediction.
         file: Values of the model file, (p,), as a further prediction; None to omit it.
     """
     errors = []

@@ -36,21 +36,23 @@ MAX_P_VALUE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PredictionErrors:
-    """Prediction errors on measurements that no fit used, channel by channel.
+    """Prediction errors of each channel on measurements that no fit used.
 
     Attributes:
         method: "wrench" for the force plate, "torque" for joint torques.
-        of: Data that are predicted. "like": eighths of the recording, each by all others; "faster":
-            its fast parts by the slow parts; "another": another recording.
-        channels: Names of the measured channels, (C,).
+        of: Kind of the predicted data. "like": each eighth of the recording, predicted from the
+            other eighths; "faster": the fast parts of the recording, predicted from the slow parts;
+            "another": another recording.
+        channels: Names of the C measured channels, (C,).
         units: Units of the channels, N or N m, (C,).
         rows: Number of rows of each channel, (C,).
-        signal: Rms of the channels, (C,) [N, N m], about the mean for a plate with an unknown zero;
-            this and the errors are nan for channels with too few rows.
-        residual: Rms prediction error, (C,) [N, N m], by prediction: "file", "refitted", "plain",
-            "posterior", "consistent".
-        chance: P-values of errors larger than those of a rival, (C,), by rival ("refitted" or
-            "plain") and prediction; corrected for the number of channels.
+        signal: Rms signal of each channel, (C,) [N, N m]; about the mean if the zero of the force
+            plate is unknown. Signals and errors are nan for channels with too few rows.
+        residual: Rms prediction errors, (C,) [N, N m], keyed by prediction: "file", "refitted",
+            "plain", "posterior", "consistent".
+        chance: One-sided p-values for errors larger than those of a rival prediction, (C,), keyed
+            by rival ("refitted" or "plain") and then by prediction; corrected for the number of
+            channels.
     """
 
     method: Signal
@@ -66,7 +68,7 @@ class PredictionErrors:
 
     @property
     def best_method(self) -> str:
-        """Name of the prediction with the least error over all channels (`over_file`)."""
+        """Name of the prediction with the smallest error over all channels (`over_file`)."""
         return min(self.residual, key=self.over_file)
 
     def merged_with(self, other: PredictionErrors) -> PredictionErrors:
@@ -75,8 +77,8 @@ class PredictionErrors:
         Predictions in both keep the errors and p-values of this object.
 
         Args:
-            other: Errors of the other predictions; p-values by rivals that are not in `chance` of
-                this object are dropped.
+            other: Errors of the other predictions. P-values for rivals that are missing in `chance`
+                of this object are dropped.
         """
         residual = {**other.residual, **self.residual}
         chance = {
@@ -95,7 +97,7 @@ class PredictionErrors:
         return self.residual[which] / signal
 
     def over_file(self, which: str) -> float:
-        """Rms over channels of the error relative to the model file with fitted friction.
+        """Rms, over the channels, of the error relative to the model file with fitted friction.
 
         Channels with too few rows are left out.
 
@@ -108,9 +110,10 @@ class PredictionErrors:
     def worse_channels(self, which: str, than: str = REFITTED) -> Iterator[Diagnostic]:
         """Diagnostics of channels that one prediction predicts significantly worse than another.
 
-        The error is larger by a factor of over 1.05 ("refitted") or 1.2 ("plain"), with a p-value
-        below 0.01, and the root of the difference of squares exceeds 0.5 % of the signal. Nothing
-        without p-values of the two predictions.
+        A channel is reported if the error is larger by a factor over 1.05 ("refitted") or 1.2
+        ("plain") with a p-value below 0.01, and the root of the difference of the squared errors
+        exceeds 0.5 % of the signal. No channel is reported if there are no p-values for the two
+        predictions.
 
         Args:
             which: Name of the prediction.
@@ -159,10 +162,10 @@ def prediction_errors(
 
     Args:
         problem: Problem with the unknowns and the channels.
-        held_out_kind: Data that are predicted: "like", "faster" or "another"
+        held_out_kind: Kind of the predicted data: "like", "faster" or "another"
             (`PredictionErrors.of`).
-        pairs: Predictions by name, and the held-out parts of the rows that they predict; errors
-            are over the parts of all pairs.
+        pairs: Pairs of predictions, keyed by name, and the held-out parts of the rows that they
+            predict. The errors are computed over the parts of all pairs.
     """
     zeros = np.zeros(len(problem.names))
     squares: dict[str, list[Array]] = {}
@@ -199,14 +202,14 @@ def prediction_errors(
 
 
 def _p_values(squares: Sequence[Array], rival: Sequence[Array]) -> Array:
-    """P-values of mean squared errors larger than a rival's, (C,), by a one-sided t-test.
+    """One-sided p-values for larger mean squared errors than a rival prediction, (C,).
 
-    Student's t of the logarithms of the parts' ratios, with Bonferroni's correction for the
-    channels.
+    Student's t-test is applied to the logarithms of the ratios of the parts' squared errors, with
+    Bonferroni's correction for the number of channels.
 
     Args:
-        squares: Sums of squared errors of every part, (parts, C).
-        rival: Sums of squared errors of the other prediction, (parts, C).
+        squares: Sums of squared errors of each part, (parts, C), for C channels.
+        rival: Sums of squared errors of the rival prediction, (parts, C).
     """
     from scipy.special import stdtr
 
@@ -224,14 +227,14 @@ def _p_values(squares: Sequence[Array], rival: Sequence[Array]) -> Array:
 def fitted_predictions(
     rows: RowProducts, models: Mapping[str, Array]
 ) -> dict[str, Prediction]:
-    """Values of unknowns with channel constants fitted to rows, by name of the prediction.
+    """Predictions with channel constants fitted to rows, keyed by name.
 
-    The constants are mean residuals for channels with an unknown constant; zero for other channels
-    and for the prediction "file".
+    The constant of a channel is the mean residual if the constant is unknown, otherwise zero. All
+    constants of the prediction "file" are zero.
 
     Args:
         rows: Products of the rows.
-        models: Values of the unknowns, (p,), by name of the prediction.
+        models: Values of the unknowns, (p,), keyed by name of the prediction.
     """
     zeros = np.zeros(len(rows.channels))
     return {
@@ -245,13 +248,13 @@ def errors_on_recording(
 ) -> PredictionErrors:
     """Prediction errors of a model file and estimates on another recording.
 
-    The plate's zero differs between recordings: the mean residual of each channel is subtracted,
-    except for the unchanged model file.
+    The zero of the force plate differs between recordings. Therefore the mean residual of each
+    channel of the plate is subtracted, except for the unchanged model file.
 
     Args:
         problem: Problem of the other recording.
-        source: Other recording, instrument faults corrected.
-        models: Values of the unknowns, (p,), by name of the prediction.
+        source: The other recording, with instrument faults corrected.
+        models: Values of the unknowns, (p,), keyed by name of the prediction.
     """
     offset = problem.method == "wrench"
     parts = row_parts(problem, source, offset, whole=True, per_cutoff=ROWS_PER_CUTOFF)

@@ -39,11 +39,11 @@ class PriorBodies(Diagnosed, Value):
     """Bodies and rotor inertias of a model file, as a prior before any data.
 
     Attributes:
-        standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz of possible bodies, about
-            and along the body frames, (n, 10) [kg, kg m, kg m^2]; zero for bodies without matter,
-            which stay massless whatever the data.
+        standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz of physically possible
+            bodies, in the body frames, (n, 10) [kg, kg m, kg m^2]; zero for massless bodies, which
+            stay massless for any data.
         rotors: Inertias of the drives at their joints, (n,) [kg m^2 or kg]; 0 where not known.
-        placeholders: Bodies and friction with placeholder numbers instead of measured ones.
+        placeholders: Bodies and friction with placeholder numbers instead of measured values.
         diagnostics: Corrections of the model file's numbers.
     """
 
@@ -58,15 +58,16 @@ class PriorBodies(Diagnosed, Value):
 
     @property
     def massive_bodies(self) -> tuple[int, ...]:
-        """Indices of the bodies that have matter."""
+        """Indices of the bodies with mass."""
         return tuple(int(k) for k in np.flatnonzero(self.standard[:, 0]))
 
     @property
     def standard_from_coordinates(self) -> Array:
-        """Matrix from coordinates of every Y to standard parameters, J = U Y U', (10 n, 10 n).
+        """Matrix from the coordinates of every matrix Y to standard parameters, (10 n, 10 n).
 
-        J is a body's pseudo-inertia, U U' that of the model file, Y a symmetric (4, 4) matrix with
-        ten coordinates in an orthonormal basis; zero for bodies without matter.
+        The pseudo-inertia of a body is J = U Y U', where U U' is the pseudo-inertia in the model
+        file and Y is a symmetric (4, 4) matrix with ten coordinates in an orthonormal basis. The
+        entries for massless bodies are zero.
         """
         n, massive = len(self.rotors), list(self.massive_bodies)
         roots = np.array(
@@ -81,12 +82,12 @@ class PriorBodies(Diagnosed, Value):
 
 
 def prior_of(tree: Tree) -> PriorBodies:
-    """Prior bodies of a model file, with impossible inertias replaced by near possible inertias.
+    """Prior bodies of a model file, with impossible inertias replaced by nearby possible inertias.
 
-    Principal second moments are raised to `MIN_PRIOR_MOMENT_RATIO` (0.01) of the body's greatest. A
-    point mass becomes a ball; a body with inertia but without positive mass gets the median mass; a
-    body of zeros stays massless. In a file without any mass all bodies are point masses of 1 kg,
-    made possible in the same way.
+    Principal second moments are raised to at least `MIN_PRIOR_MOMENT_RATIO` (0.01) times the
+    largest of the body. A point mass becomes a ball; a body with inertia but without positive mass
+    gets the median mass; a body whose parameters are all zero stays massless. If no body in the
+    file has a mass, all bodies become point masses of 1 kg, which are then replaced by balls.
 
     Args:
         tree: Robot with the bodies of the file.
@@ -126,9 +127,10 @@ def prior_of(tree: Tree) -> PriorBodies:
 
 
 def _is_impossible(body: Array) -> bool:
-    """True for the pseudo-inertia, (4, 4), of an impossible body or of a point mass.
+    """Test whether a pseudo-inertia, (4, 4), belongs to an impossible body or a point mass.
 
-    Impossible: no positive mass, or a negative principal second moment beyond rounding.
+    A body is impossible if its mass is not positive or a principal second moment is negative beyond
+    rounding.
     """
     mass = body[3, 3]
     if mass <= 0:
@@ -141,7 +143,10 @@ def _is_impossible(body: Array) -> bool:
 def _diagnostics(
     without_masses: bool, impossible: list[str], massless: list[str]
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of a file without masses, else of replaced bodies; and of massless bodies."""
+    """Diagnostics of missing masses, replaced inertias and massless bodies.
+
+    Replaced inertias are not reported for a file without masses.
+    """
     if without_masses:
         yield make_diagnostic("bodies.no-masses")
     elif impossible:

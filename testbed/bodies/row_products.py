@@ -39,13 +39,13 @@ MIN_EXCESS_ROWS = 8
 
 @dataclass(frozen=True, eq=False)
 class RowProducts:
-    """Gram matrices of regressor columns, a constant and the measurement over some rows.
+    """Gram matrices of regressor columns, a constant and the measurement.
 
     Attributes:
-        unknowns: Names of the columns, (p,).
-        channels: Names of the channels, (C,).
-        products: Sums of the rows' outer products, (C, p + 2, p + 2); a row consists of the p
-            columns, the constant 1 and the measurement.
+        unknowns: Names of the p regressor columns, (p,).
+        channels: Names of the C measured channels, (C,).
+        products: Sums of the outer products of rows, (C, p + 2, p + 2); a row consists of the
+            entries of the p columns, the constant 1 and the measurement at one time.
         has_offset: True if each channel has an unknown constant.
     """
 
@@ -56,27 +56,28 @@ class RowProducts:
 
     @property
     def rows(self) -> Array:
-        """Number of rows of each channel, without rows near a joint's reversal, (C,)."""
+        """Number of rows of each channel, without rows near reversals of a joint, (C,)."""
         return self.products[:, -2, -2]
 
     @property
     def has_enough_rows(self) -> NDArray[np.bool_]:
         """Mask of the channels with enough rows for an estimate of the noise, (C,).
 
-        At least `MIN_EXCESS_ROWS` (8) rows more than unknowns that no other channel excites.
+        A channel has enough rows if their number exceeds the number of unknowns that no other
+        channel excites by at least `MIN_EXCESS_ROWS` (8).
         """
         is_excited = np.einsum("cii->ci", self.products)[:, :-2] > 0
         own_unknowns = (is_excited & (is_excited.sum(axis=0) == 1)).sum(axis=1)
         return np.asarray(self.rows >= own_unknowns + MIN_EXCESS_ROWS)
 
     def equations(self, lead: Array, start: Array) -> NormalEquations:
-        """Normal equations of combined columns for the residuals of given unknowns.
+        """Normal equations in combinations of columns for the residuals of given unknowns.
 
-        Channels with an unknown constant have their means subtracted; columns that are constant in
-        a channel up to rounding are zero then.
+        If the channels have an unknown constant, their means are subtracted, and columns that are
+        constant in a channel up to rounding become zero.
 
         Args:
-            lead: Combinations of the columns, (p, k).
+            lead: Coefficients of the k combinations of columns, (p, k).
             start: Values of the unknowns whose prediction is subtracted, (p,).
         """
         coefficients = np.zeros((len(start) + 2, lead.shape[1] + 1))
@@ -102,7 +103,9 @@ class RowProducts:
         return NormalEquations(names, self.channels, self.rows, normal, right, square)
 
     def mean_residuals(self, values: Array) -> Array:
-        """Mean residual of each channel for given unknowns, (C,); zero for known constants.
+        """Mean residual of each channel for given unknowns, (C,).
+
+        The result is zero if the channels have no unknown constant.
 
         Args:
             values: Values of the unknowns, (p,).
@@ -137,14 +140,14 @@ class RowProducts:
 
 
 def _residual_coefficients(values: Array, constants: Array) -> Array:
-    """Coefficients of the residuals on columns, constant and measurement, (C, p + 2)."""
+    """Coefficients of columns, constant and measurement in the residuals, (C, p + 2)."""
     coefficients = np.ones((len(constants), len(values) + 2))
     coefficients[:, :-2], coefficients[:, -2] = -values, -constants
     return coefficients
 
 
 def _quadratic_forms(products: Array, coefficients: Array) -> Array:
-    """Quadratic forms of the Gram matrices, channel by channel, (C,).
+    """Quadratic form of each channel's Gram matrix, (C,).
 
     Args:
         products: Gram matrices, (C, p + 2, p + 2).
@@ -155,13 +158,14 @@ def _quadratic_forms(products: Array, coefficients: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RowParts:
-    """Gram matrices of the regressor's rows and measurements, by consecutive parts of a recording.
+    """Gram matrices of regressor and measurement for consecutive parts of a recording.
 
     Attributes:
-        problem: Problem with the rows.
-        cross: Products of each part, and of all rows at least `GAP_DURATION` (0.3 s) away from it.
+        problem: Estimation problem of the recording.
+        cross: Gram matrices of each part, and of all rows at least `GAP_DURATION` (0.3 s) away from
+            the part.
         offset: True if each channel has an unknown constant.
-        speed: Mean square of each joint's speed in every part, (parts, n) [rad^2/s^2, m^2/s^2].
+        speed: Mean square speed of each joint in each part, (parts, n) [rad^2/s^2, m^2/s^2].
     """
 
     problem: Problem
@@ -171,29 +175,30 @@ class RowParts:
 
     @property
     def parts(self) -> list[RowProducts]:
-        """Products of the rows, part by part."""
+        """Gram matrices of each part."""
         return self._row_products(self.cross.test)
 
     @property
     def total(self) -> RowProducts:
-        """Sum of the products of all parts."""
+        """Sum of the Gram matrices of all parts."""
         return sum_row_products(self.parts)
 
     @cached_property
     def folds(self) -> list[tuple[RowProducts, RowProducts]]:
-        """Training rows and held-out part of every fold of the cross-validation.
+        """Training rows and held-out part of each fold of the cross-validation.
 
-        Training rows are those of other parts, at least `GAP_DURATION` (0.3 s) away.
+        The training rows belong to other parts and are at least `GAP_DURATION` (0.3 s) away from
+        the held-out part.
         """
         return [*zip(self._row_products(self.cross.training), self.parts, strict=True)]
 
     def blocks(
         self, length: int
     ) -> Iterator[tuple[RowProducts, list[tuple[int, RowProducts]]]]:
-        """Yield training rows and consecutive held-out parts with their numbers, block by block.
+        """Yield the training rows and the numbered held-out parts of each block.
 
-        Training rows are all other parts; only with a length of 1 the rows within 0.3 s of the
-        held-out part are left out.
+        A block consists of consecutive parts; the training rows are those of all other parts. With
+        a length of 1, the rows within 0.3 s of the held-out part are left out.
 
         Args:
             length: Number of parts that are held out together.
@@ -209,10 +214,11 @@ class RowParts:
 
     @property
     def splits(self) -> dict[str, list[tuple[RowProducts, list[RowProducts]]]]:
-        """Pairs of training rows and held-out parts, by kind of split.
+        """Pairs of training rows and held-out parts, keyed by kind of split.
 
-        "like": each part by all others; "faster": the faster half of the parts by the slower half,
-        if their rms speeds differ by a factor of over `MIN_SPEED_RATIO` (1.5).
+        In the split "like", each part is predicted from all other parts. In the split "faster", the
+        faster half of the parts is predicted from the slower half; this split exists if the rms
+        speeds differ by a factor over `MIN_SPEED_RATIO` (1.5).
         """
         parts = self.parts
         splits = {"like": [(training, [part]) for training, part in self.folds]}
@@ -239,10 +245,10 @@ class RowParts:
 
 
 def sum_row_products(parts: Sequence[RowProducts]) -> RowProducts:
-    """Sum of the products of several parts.
+    """Sum of the Gram matrices of several parts.
 
     Args:
-        parts: Products of the parts, at least one.
+        parts: Gram matrices of the parts, at least one.
     """
     return replace(parts[0], products=np.sum([part.products for part in parts], axis=0))
 
@@ -254,14 +260,15 @@ def row_parts(
     whole: bool = False,
     per_cutoff: float = DENSE_ROWS_PER_CUTOFF,
 ) -> RowParts:
-    """Gram matrices of the regressor's rows and measurements, by parts of a recording.
+    """Gram matrices of regressor and measurement for the parts of a recording.
 
     Args:
         problem: Robot, recording and method.
-        source: Recording, instrument faults corrected.
+        source: Recording, with instrument faults corrected.
         offset: True if each channel has an unknown constant.
-        whole: True to include rows near reversals, unless the settings state a reach.
-        per_cutoff: Rows per second per Hz of the low-pass on rows.
+        whole: True to include rows near reversals of a joint, unless the settings define
+            `reversal_reach`.
+        per_cutoff: Number of rows per second for each Hz of the low-pass cutoff of the rows.
     """
     width = len(problem.channels)
     passes = problem.passes(1, source, whole, per_cutoff)
@@ -290,7 +297,7 @@ def row_parts(
 
 
 def _speed_columns(rate: float, channels: int) -> ColumnFunction:
-    """Function for the joint speeds at the rows, (C, rows, n), by central differences.
+    """Function that computes the joint speeds at the rows by central differences, (C, rows, n).
 
     Args:
         rate: Sampling rate [1/s].

@@ -1,6 +1,7 @@
-"""Verdict on estimates of a recording: faults by severity, or a line of prediction errors.
+"""Verdict on estimates of a recording: faults sorted by severity, or prediction errors.
 
-It is based on errors of held-out parts where there are any, else on residuals.
+The verdict is based on prediction errors of held-out parts if there are any, otherwise on
+residuals.
 """
 
 from __future__ import annotations
@@ -59,21 +60,22 @@ def verdict_of(
     reported: str = POSTERIOR,
     doubts: Iterable[Diagnostic] = (),
 ) -> tuple[Diagnostic, ...]:
-    """Verdict on estimates: diagnostics by severity, or a line of prediction errors per method.
+    """Verdict on estimates: diagnostics sorted by severity, or prediction errors per method.
 
-    Diagnostics are: of the recording those in `RECORDING_CODES`, as errors; of the posteriors poor
-    predictions (`_reservations`); of least squares those of level "error" and of model errors.
-    Symptoms of least squares are left out where the posterior is reported.
+    The diagnostics of the recording are those with a code in `RECORDING_CODES`, raised to level
+    "error"; the diagnostics of the posteriors concern poor predictions (`_reservations`); the
+    diagnostics of least squares have level "error" or concern model errors. Mere symptoms of least
+    squares are left out if the posterior is reported.
 
     Args:
-        estimates: Least-squares estimates of one recording.
-        posteriors: Estimates with the model file as prior, of an imported recording.
+        estimates: Least-squares estimates from one recording.
+        posteriors: Estimates with the model file as prior, from an imported recording.
         reported: Name of the reported estimate of a posterior: "posterior" or "plain".
         doubts: Diagnostics of the robot and the recording.
 
     Returns:
-        These diagnostics. Without any, one line for each posterior with its errors on held-out
-        parts; without posteriors, for each estimate with its relative residuals.
+        These diagnostics. If there are none, one diagnostic for each posterior with its errors on
+        held-out parts or, without posteriors, one for each estimate with its relative residuals.
     """
     estimate_list = list(estimates)
     recording_errors = [
@@ -121,8 +123,8 @@ def _prediction_line(instrument: str, share: Array, of: str) -> Diagnostic:
 
     Args:
         instrument: Name of the instrument.
-        share: Prediction errors over the signals, (C,).
-        of: Data that are predicted (`PredictionErrors.of`), or "fitted".
+        share: Ratios of prediction errors to signals, (C,), for C channels.
+        of: Kind of the predicted data (`PredictionErrors.of`), or "fitted".
     """
     least, most = 100 * np.nanmin(share), 100 * np.nanmax(share)
     return make_diagnostic(
@@ -131,11 +133,12 @@ def _prediction_line(instrument: str, share: Array, of: str) -> Diagnostic:
 
 
 def _reservations(estimate: Posterior, reported: str) -> Iterator[Diagnostic]:
-    """Diagnostics of better rivals, poor predictions, episodes and an uninformative file.
+    """Diagnostics of better rivals, poor predictions, residual episodes and an uninformative file.
 
-    A prediction is poor if its held-out error exceeds 0.2 of the channel's signal: an error if it
-    also exceeds 0.2 of the largest signal in this unit. Channels with too few rows are reported.
-    The file is uninformative if its relative error exceeds `MAX_PRIOR_ERROR` (1).
+    A prediction is poor if its held-out error exceeds 0.2 times the signal of the channel; the
+    diagnostic has level "error" if the held-out error also exceeds 0.2 times the largest signal
+    with the same unit. Channels with too few rows are reported. The file is uninformative if its
+    relative error exceeds `MAX_PRIOR_ERROR` (1).
 
     Args:
         estimate: Posterior of one method.
@@ -183,7 +186,8 @@ def _reservations(estimate: Posterior, reported: str) -> Iterator[Diagnostic]:
 def _episodes(estimate: Posterior) -> Iterator[Diagnostic]:
     """Diagnostics of channels with large residuals in one or two consecutive parts.
 
-    Large: over four times the median over the parts, and over 0.05 of the channel's signal.
+    A residual is large if it exceeds both four times the median over the parts and 0.05 times the
+    signal of the channel.
     """
     median = np.median(estimate.by_part, axis=0)
     is_large = (estimate.by_part > MIN_EPISODE_RATIO * median) & (median > 0)

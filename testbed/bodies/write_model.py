@@ -2,9 +2,9 @@
 
 Only these numbers change. The copy is read again and checked before it replaces a file.
 
-A body of the tree is all that moves together: a link, the links fixed to it, and links on joints
-that are held. Its matter is written to the carrying link, or in proportion to all its links; links
-on held joints keep their proportion, because they move in the file.
+A body of the tree consists of a link, the links fixed to it, and the links on locked joints. The
+inertia of a body is written to the carrying link, or to all its links in proportion to the file.
+Links on locked joints always keep their proportion, because these joints move in the file.
 """
 
 from __future__ import annotations
@@ -72,20 +72,21 @@ def write_model(
         model: Model file, and the options it was read with.
         tree: Tree with the joints of the file and other numbers.
         path: Path of the copy.
-        fixed: Share of a body for links that are fixed to others: nothing ("lump"), or in
-            proportion to their matter in the file ("share").
-        note: Lines of a comment with the source of the numbers.
+        fixed: Part of a body's inertia that is written to links fixed to other links: none
+            ("lump"), or a part in proportion to their inertia in the file ("share").
+        note: Lines of a comment on the source of the numbers.
         over_source: True if `path` may be the model file itself.
-        gears: True torque over the drive's reported torque, by joint: factors on MJCF's motors,
-            which are added where missing.
-        delay: Delay from a command to its torque, of these motors [s].
+        gears: Ratios of true torque to the torque that the drive reports, keyed by joint: factors
+            on the gears of MJCF motors, which are added where missing.
+        delay: Delay from a command to its torque for these motors [s].
 
     Returns:
         Diagnostics of values that the format cannot express or that readers change.
 
     Raises:
         ModelError: The file cannot be edited or must not be overwritten, or `path` has the wrong
-            extension for its format; or the copy would not be read with the tree's inertias.
+            extension for its format, or the copy does not have the tree's inertias when it is read
+            again.
         OSError: The path is not writable.
     """
     check_copy_path(model.path, path, over_source=over_source)
@@ -112,10 +113,10 @@ def write_models(
 ) -> tuple[Diagnostic, ...]:
     """Write one copy of a model file for each tree, and `robots.npz` with all trees.
 
-    The archive contains MuJoCo's fields for the named bodies and joints (`bodies`, `joints`):
-    body_mass, body_ipos, body_inertia and body_iquat, (N, bodies, ...), dof_frictionloss,
-    dof_damping and dof_armature, (N, joints). The first copy is read again and checked before the
-    new folder replaces an old folder.
+    The archive contains MuJoCo's fields of the N robots for the named bodies and joints (`bodies`,
+    `joints`): body_mass, body_ipos, body_inertia and body_iquat, (N, bodies, ...),
+    dof_frictionloss, dof_damping and dof_armature, (N, joints). The first copy is read again and
+    checked before the new folder replaces an existing folder.
 
     Args:
         model: Model file, and the options it was read with.
@@ -125,7 +126,7 @@ def write_models(
         note: As for `write_model`.
 
     Returns:
-        Diagnostics as of `write_model`, for the first copy.
+        Diagnostics of the first copy, as returned by `write_model`.
 
     Raises:
         ModelError: The file cannot be edited.
@@ -155,10 +156,10 @@ def write_models(
 def model_edits(
     model: ModelFile, trees: Sequence[Tree], fixed: FixedLinkShare
 ) -> list[ModelEdit]:
-    """Edits of a model file that give the numbers of several trees, in order.
+    """Edits of a model file for the numbers of several trees, one per tree.
 
     An edit contains the bodies and joint fields that differ from the file as read, and all repairs
-    of inertias that were made on reading.
+    of inertias that were made when the file was read.
 
     Args:
         model: Model file, and the options it was read with.
@@ -196,14 +197,15 @@ def model_edits(
 def mujoco_fields(
     changes: Sequence[ModelEdit], trees: Sequence[Tree]
 ) -> dict[str, Array]:
-    """Arrays of MuJoCo's mass, inertia and joint fields of all robots, by name.
+    """Arrays of MuJoCo's mass, inertia and joint fields of N robots, keyed by name.
 
-    "bodies" and "joints" are names; body_mass, (N, bodies) [kg]; body_ipos, centre of mass,
-    (N, bodies, 3) [m]; body_inertia, principal moments, (N, bodies, 3) [kg m^2]; body_iquat, the
-    principal axes, (N, bodies, 4); dof_frictionloss, dof_damping, dof_armature, (N, joints).
+    "bodies" and "joints" contain names. The other arrays are body_mass, (N, bodies) [kg];
+    body_ipos, centres of mass, (N, bodies, 3) [m]; body_inertia, principal moments, (N, bodies, 3)
+    [kg m^2]; body_iquat, quaternions of the principal axes, (N, bodies, 4); dof_frictionloss,
+    dof_damping and dof_armature, (N, joints).
 
     Args:
-        changes: Edits of the model file, one a tree, all of the same links.
+        changes: Edits of the model file, one per tree, all with the same links.
         trees: Trees of the robots.
     """
     bodies = list(changes[0].links)
@@ -234,7 +236,7 @@ def _edited_copies(
 
     Args:
         model: Model file.
-        changes: Edits of one copy each.
+        changes: Edits, one for each copy.
         note: Lines of a comment.
     """
     if model_format(model.path) == "mjcf":
@@ -274,17 +276,19 @@ def distribute_inertias(
 ) -> tuple[dict[str, Inertia], tuple[Diagnostic, ...]]:
     """Distribute the inertias of bodies among the links of the model file.
 
-    A body whose inertia in the file is nearly degenerate cannot be divided: its first link gets the
-    whole inertia, with a diagnostic. Links without inertia that get none are omitted.
+    A body whose inertia in the file is nearly degenerate cannot be divided: its first link receives
+    the whole inertia, and a diagnostic is returned. Links that have no inertia and receive none are
+    omitted.
 
     Args:
         links: All links, parents before children.
-        bodies: New inertias of bodies of the tree, by index.
-        fixed: "lump" gives the sum of fixed links to their carrying link; "share" gives every link
-            its proportion in the file.
+        bodies: New inertias of bodies of the tree, keyed by index.
+        fixed: "lump" to write the sum of fixed links to the carrying link, "share" to keep the
+            proportions of all links in the file.
 
     Returns:
-        Inertias in the link frames, by link, and diagnostics of bodies that cannot be divided.
+        Inertias in the link frames, keyed by link, and diagnostics of bodies that cannot be
+        divided.
     """
     inertias: dict[str, Inertia] = {}
     diagnostics: list[Diagnostic] = []
@@ -321,9 +325,10 @@ def _proportional_inertias(
 ) -> dict[str, Inertia] | None:
     """Inertias of a body's links in proportion to the file, in the body frame.
 
-    One linear map L of the pseudo-inertias, J -> L J L', takes the body of the file to the new
-    body, so that the parts stay physically possible. None where the smallest eigenvalue of the
-    file's pseudo-inertia, scaled to unit diagonal, is below `MIN_EIGENVALUE`.
+    A linear map L transforms the pseudo-inertias J of all links to L J L', so that their sum is the
+    new inertia and every part stays physically possible. The result is None if the smallest
+    eigenvalue of the body's pseudo-inertia in the file, scaled to unit diagonal, is below
+    `MIN_EIGENVALUE`.
 
     Args:
         links: Links of the body.
@@ -346,7 +351,7 @@ def _proportional_inertias(
 
 
 def _check_copy(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, ...]:
-    """Read a copy again and check its inertias; diagnose friction that reads differently.
+    """Read a copy again, check its inertias, and diagnose differences in friction.
 
     Args:
         model: Model file, and the options it was read with; referenced files are copied along.
@@ -386,7 +391,7 @@ def _check_copy(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, 
 def _missing_references(source: Path, path: Path) -> tuple[Diagnostic, ...]:
     """Diagnostic of relative file references that a copy in another folder breaks.
 
-    No diagnostic if the folder is the same or all mesh names are addresses with "://".
+    There is no diagnostic if the folder is the same or all mesh names are addresses with "://".
     """
     if path.resolve().parent == source.resolve().parent or not referenced_files(source):
         return ()

@@ -25,8 +25,8 @@ class XmlElement:
 
     Attributes:
         tag: Name of the element.
-        attributes: Values by attribute, as written between the quotes.
-        children: Child elements, in order.
+        attributes: Values as written between the quotes, keyed by attribute.
+        children: Child elements in file order.
         start: Byte offset of the start tag.
         content_start: Byte offset after the start tag.
         is_empty: True if the element is an empty-element tag, without an end tag.
@@ -40,7 +40,7 @@ class XmlElement:
     is_empty: bool
 
     def children_named(self, *tags: str) -> list[XmlElement]:
-        """Child elements with one of the given names, in order of the file.
+        """Child elements with one of the given names, in file order.
 
         Args:
             tags: Names of the elements.
@@ -52,14 +52,14 @@ class XmlBytes:
     """Bytes of an XML file, its elements, and pending changes."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        """Parse the elements.
+        """Parse the elements of an XML file.
 
         Args:
             data: Bytes of the file.
             name: Name of the file, for messages.
 
         Raises:
-            ModelError: The file is no XML, has a DOCTYPE, or has more than one byte a character.
+            ModelError: The file is not XML, has a DOCTYPE, or has more than one byte per character.
         """
         if data.startswith(_WIDE_PREFIXES):
             raise ModelError(
@@ -81,17 +81,17 @@ class XmlBytes:
         (self.root,) = self._open[0][1]
 
     def _reject_doctype(self, *_: object) -> None:
-        """Raise an error for a document type declaration, as expat's handler."""
+        """Raise an error for a document type declaration; handler for expat."""
         raise ModelError(
             f"{self._name}: a file with a DOCTYPE is not edited; take it out"
         )
 
     def _start_element(self, tag: str, attributes: dict[str, str]) -> None:
-        """Record the start tag of an element, as expat's handler."""
+        """Record the start tag of an element; handler for expat."""
         self._open.append((attributes, [], self._parser.CurrentByteIndex))
 
     def _end_element(self, tag: str) -> None:
-        """Add a complete element to the children of its parent, as expat's handler."""
+        """Add a complete element to the children of its parent; handler for expat."""
         attributes, children, start = self._open.pop()
         match = _TAG.match(self.data, start)
         if match is None:
@@ -106,11 +106,13 @@ class XmlBytes:
     def set_attributes(self, element: XmlElement, **values: str | None) -> None:
         """Change attributes of an element; None removes an attribute if it exists.
 
-        New attributes follow the others. The change is pending until `apply_changes`.
+        New attributes are written after the existing attributes. The change is pending until
+        `apply_changes`.
 
         Args:
             element: Element to change.
-            values: Values by attribute, in ASCII without characters to escape.
+            values: New values in ASCII without characters that need escaping, keyed by attribute;
+                None to remove the attribute.
         """
         tag = _TAG.match(self.data, element.start)
         assert tag is not None
@@ -160,14 +162,14 @@ class XmlBytes:
             self._changes.append((element.content_start, element.content_start, inner))
 
     def set_child(self, element: XmlElement, tag: str, **values: str | None) -> None:
-        """Change attributes of the first child with a name; insert the child if missing.
+        """Change attributes of the first child with a given name; insert the child if missing.
 
         The change is pending until `apply_changes`.
 
         Args:
             element: Parent of the child.
             tag: Name of the child.
-            values: Values by attribute, as for `set_attributes`.
+            values: New values keyed by attribute, as for `set_attributes`.
         """
         children = element.children_named(tag)
         if children:
@@ -190,7 +192,7 @@ def empty_element_tag(tag: str, values: Mapping[str, str | None]) -> str:
 
     Args:
         tag: Name of the element.
-        values: Values by attribute; None omits an attribute.
+        values: Values keyed by attribute; None omits the attribute.
     """
     listed = "".join(
         f' {key}="{value}"' for key, value in values.items() if value is not None

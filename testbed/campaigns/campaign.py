@@ -57,7 +57,7 @@ class FactorTable(StrictTable):
 
     @model_validator(mode="after")
     def _check_levels(self) -> FactorTable:
-        """Check that the factor has either levels, or values with settings."""
+        """Raise ValueError unless the factor has either levels, or values with settings."""
         if not self.level and not (self.values and self.set):
             raise ValueError(f"factor '{self.name}' needs levels, or values with a set")
         if self.level and (self.values or self.set):
@@ -69,11 +69,11 @@ class FactorTable(StrictTable):
     def levels(self) -> list[tuple[Level, tuple[str, ...]]]:
         """Levels of the factor, each with its settings.
 
-        Named levels with their own settings; or values, with `$` in the factor's settings replaced
-        by the value.
+        Named levels have their own settings. For a list of values, the settings are those of the
+        factor, with `$` replaced by the value.
 
         Raises:
-            ExperimentError: A setting needs a multiple of a level that is not a number.
+            ExperimentError: A setting contains a multiple of a level that is not a number.
         """
         if self.level:
             return [(level.name, level.set) for level in self.level]
@@ -88,14 +88,15 @@ class FactorTable(StrictTable):
         ]
 
     def _substituted_setting(self, setting: str, level: Level) -> str:
-        """Setting with `$` and its multiples replaced by the level.
+        """Setting with `$` and its multiples replaced by a level.
 
         Args:
-            setting: Setting with placeholders `$` (level) and `$*NUMBER` (multiple of the level).
+            setting: Setting with the placeholder `$` for the level, or `$*NUMBER` for a multiple of
+                it.
             level: Level of the factor.
 
         Raises:
-            ExperimentError: A multiple of a level that is not a number.
+            ExperimentError: The setting contains a multiple of a level that is not a number.
         """
 
         def number(match: re.Match[str]) -> str:
@@ -110,7 +111,7 @@ class FactorTable(StrictTable):
 
 
 class CampaignTables(StrictTable):
-    """Content of a campaign's TOML file."""
+    """Content of a campaign's TOML file, checked for unknown keys."""
 
     name: RunName
     """Name of the campaign."""
@@ -132,11 +133,11 @@ class CampaignTables(StrictTable):
 
 @dataclass(frozen=True)
 class Cell:
-    """Cell of a factorial design: one combination of levels.
+    """Cell of a factorial design: one combination of factor levels.
 
     Attributes:
         levels: Levels of all factors, in the order of the file.
-        settings: Settings of the levels, as `--set` takes them.
+        settings: Settings of these levels, in the format of `--set`.
     """
 
     levels: tuple[Level, ...]
@@ -145,12 +146,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Campaign: an experiment, cells of factor levels and number of replicates.
+    """Campaign: an experiment, the cells of a factorial design, and a number of replicates.
 
     Attributes:
         tables: Content of the campaign's file.
-        experiment_file: Experiment file.
-        cells: Combinations of the factors' levels, the last factor varying fastest.
+        experiment_file: Path of the experiment file.
+        cells: Combinations of the factors' levels; the last factor varies fastest.
     """
 
     tables: CampaignTables
@@ -159,15 +160,15 @@ class Campaign:
 
     @staticmethod
     def load(path: str | Path, settings: Iterable[str] = ()) -> Campaign:
-        """Read a campaign's file and check the experiment of every cell.
+        """Read a campaign's file, and check the experiment of every cell.
 
         Args:
             path: The TOML file.
-            settings: Overrides of the experiment, for all runs.
+            settings: Overrides of the experiment that apply to all runs.
 
         Raises:
             ExperimentError: A file cannot be read, or has an unknown key or an invalid value; two
-                factors have one name; or there are more than `MAX_RUNS` runs.
+                factors have the same name; or there are more than `MAX_RUNS` runs.
         """
         path = Path(path)
         tables = validate_tables(CampaignTables, read_toml(path, "campaign"), str(path))
@@ -199,14 +200,14 @@ class Campaign:
         return tuple(factor.name for factor in self.tables.factor)
 
     def settings(self, cell: int, replicate: int) -> tuple[str, ...]:
-        """Settings of a run beyond the experiment's file, for the option `--set`.
+        """Settings of a run that differ from the experiment file, in the format of `--set`.
 
-        In order, later ones prevailing: `DEFAULT_SETTINGS`, the campaign's, the cell's, the
-        replicate's seed.
+        They are, in this order, `DEFAULT_SETTINGS`, those of the campaign, those of the cell, and
+        the seed of the replicate. Later settings override earlier ones.
 
         Args:
-            cell: Number of the cell.
-            replicate: Number of the replicate.
+            cell: Index of the cell.
+            replicate: Index of the replicate.
         """
         seed = f"seed={self.tables.seed + replicate}"
         return (*DEFAULT_SETTINGS, *self.tables.set, *self.cells[cell].settings, seed)

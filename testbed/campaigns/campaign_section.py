@@ -26,7 +26,10 @@ COLUMN_HEADS = ("cell", "estimate", "runs", "error [%]", "coverage [%]", "interv
 
 
 def print_plan(out: Console, campaign: Campaign) -> None:
-    """Print a campaign's first `MAX_LISTED` cells, numbers of runs, and the first run's command.
+    """Print the plan of a campaign.
+
+    It consists of the first `MAX_LISTED` cells, the numbers of cells and runs, and the command of
+    the first run.
 
     Args:
         out: Console.
@@ -68,7 +71,7 @@ def write_campaign_page(path: Path, results: Results) -> None:
     """Write the HTML page of a campaign: claim, errors and coverage by cell, failed runs.
 
     Args:
-        path: The HTML file; an existing file is replaced.
+        path: The HTML file; it is replaced if it exists.
         results: Content of the campaign's table.
     """
     cells = summarise(results.rows)
@@ -83,7 +86,9 @@ def write_campaign_page(path: Path, results: Results) -> None:
 
 
 def cells_figure(cells: Sequence[CellSummary]) -> Section:
-    """Figure of error and coverage by cell, a colour for each estimator, with the table.
+    """Figure of error and coverage for each cell, in a different colour for each estimator.
+
+    The section also contains the table of these values.
 
     Args:
         cells: Summary of the campaign by cell and estimator.
@@ -119,14 +124,14 @@ def cells_figure(cells: Sequence[CellSummary]) -> Section:
 def _cell_values(
     cells: Sequence[CellSummary], method: str, numbers: Sequence[int]
 ) -> Array:
-    """Error, coverage, lower and upper confidence bound by cell [%], (4, cells).
+    """Error, coverage, and bounds of the coverage's confidence interval [%], (4, cells).
 
-    NaN for a cell without this estimator.
+    Columns of cells without this estimator are NaN.
 
     Args:
         cells: Summary of the campaign.
         method: Name of the estimator.
-        numbers: Numbers of the cells, in the order of the columns.
+        numbers: Indices of the cells, in the order of the columns.
     """
     values = np.full((4, len(numbers)), np.nan)
     for each in cells:
@@ -137,7 +142,7 @@ def _cell_values(
 
 
 def _summary_table(cells: Sequence[CellSummary]) -> Table:
-    """Table of error and coverage by cell and estimator (`COLUMN_HEADS`), with text cells."""
+    """Table of error and coverage by cell and estimator, with the heads `COLUMN_HEADS`."""
     rows = []
     for each in cells:
         low, high = each.bounds
@@ -156,9 +161,9 @@ def _summary_table(cells: Sequence[CellSummary]) -> Table:
 
 
 def _levels_text(levels: Mapping[str, Level]) -> str:
-    """Levels of a cell as text: "factor = level", separated by commas.
+    """Text of a cell's levels: "factor = level", separated by commas.
 
-    Without factors: "the experiment as it is".
+    The text is "the experiment as it is" if there are no factors.
     """
     parts = (
         f"{name} = {level if isinstance(level, str) else f'{level:g}'}"
@@ -168,7 +173,7 @@ def _levels_text(levels: Mapping[str, Level]) -> str:
 
 
 def _count_text(results: Results) -> str:
-    """Numbers of runs, cells and failures as a sentence."""
+    """Sentence with the numbers of runs, cells and failures."""
     cells = count_with_noun(len({row["cell"] for row in results.rows}), "cell")
     failed = len(results.failures) or "none"
     return f"{count_with_noun(len(results.rows), 'run')} in {cells}; {failed} without a result."

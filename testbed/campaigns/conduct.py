@@ -44,13 +44,13 @@ EXCLUDED_KEYS: Any = {"model": True, "name": True, "claim": True, "motion": {"fi
 
 @dataclass(frozen=True)
 class CampaignRun:
-    """Run of a campaign, identified by a hash.
+    """Run of a campaign, identified by a hash of its inputs.
 
     Attributes:
         digest: Hash of all inputs that determine the result: experiment, methods, contents of model
             and motion files, versions of code and packages.
-        cell: Number of the cell.
-        replicate: Number of the replicate.
+        cell: Index of the cell.
+        replicate: Index of the replicate.
     """
 
     digest: str
@@ -59,7 +59,7 @@ class CampaignRun:
 
 
 def campaign_runs(campaign: Campaign) -> list[CampaignRun]:
-    """Runs of a campaign, by replicate and within a replicate by cell.
+    """Runs of a campaign, ordered by replicate, then by cell.
 
     Args:
         campaign: The campaign.
@@ -83,14 +83,17 @@ def campaign_runs(campaign: Campaign) -> list[CampaignRun]:
 
 
 def _model_digest(path: str) -> str:
-    """Hashes of a model file and its referenced files, as text in order of paths."""
+    """Text with the hashes of a model file and of the files it refers to.
+
+    The hashes are in the order of the paths.
+    """
     files = sorted({Path(path).resolve(), *referenced_files(Path(path))})
     return " ".join(sha256_of_file(file) for file in files)
 
 
 @cache
 def code_version() -> str:
-    """Hash of the contents of testbed's modules and of the versions of its dependencies."""
+    """Hash of testbed's modules and of the versions of its dependencies."""
     package_folder = Path(testbed.__file__).parent
     digest = hashlib.sha256(repr(sorted(package_versions().items())).encode())
     for path in sorted(package_folder.rglob("*.py")):
@@ -105,21 +108,21 @@ def conduct(
     limit: int | None = None,
     progress: Progress = ignore_progress,
 ) -> None:
-    """Carry out a campaign's runs that have no result, and write the table.
+    """Carry out the runs of a campaign that have no result, and write the table.
 
-    Failed runs of an earlier call are repeated. Rows of finished runs are written even if an
-    exception ends the call.
+    Runs that failed in an earlier call are repeated. Rows of finished runs are written even if the
+    call ends with an exception.
 
     Args:
         campaign: The campaign.
-        folder: Folder of the table (`RESULTS_FILE`), written again every `SAVE_EVERY` seconds.
-        workers: Number of processes; 0 for this process.
+        folder: Folder of the table `RESULTS_FILE`, which is rewritten every `SAVE_EVERY` seconds.
+        workers: Number of processes; 0 to use this process only.
         limit: Largest number of runs to carry out; default all.
-        progress: Called with the numbers of rows and of all runs.
+        progress: Called with the number of rows and the number of all runs.
 
     Raises:
-        TestbedError: The table is another campaign's, cannot be read, or a process has died. Errors
-            of single runs are recorded in their rows (`carry_out_run`).
+        TestbedError: The table belongs to another campaign or cannot be read, or a process has
+            died. Errors of single runs are not raised but recorded in their rows (`carry_out_run`).
     """
     path, runs = folder / RESULTS_FILE, campaign_runs(campaign)
     rows = _finished_rows(path, runs)
@@ -145,14 +148,17 @@ def conduct(
 def _finished_rows(
     path: Path, runs: Sequence[CampaignRun]
 ) -> dict[str, dict[str, Any]]:
-    """Rows of the table with status "done", by the run's digest; empty without a table.
+    """Rows of the table with status "done", keyed by the run's digest.
+
+    The result is empty if there is no table.
 
     Args:
         path: File of the table.
         runs: Runs of the campaign.
 
     Raises:
-        ExperimentError: The folder has other files but no table, or the table other runs.
+        ExperimentError: The folder contains other files but no table, or the table contains other
+            runs.
     """
     if not path.exists():
         if path.parent.exists() and any(path.parent.iterdir()):
@@ -179,13 +185,15 @@ def _write_table(
     runs: Sequence[CampaignRun],
     rows: Mapping[str, Mapping[str, Any]],
 ) -> None:
-    """Write the available rows in the order of runs, with digest, cell, replicate, levels.
+    """Write the available rows in the order of the runs.
+
+    Columns for digest, cell, replicate and levels are added.
 
     Args:
         path: File of the table.
         campaign: The campaign.
         runs: Runs of the campaign.
-        rows: Rows with a result, by the run's digest.
+        rows: Rows with a result, keyed by the run's digest.
     """
     table = []
     for run in runs:
@@ -201,12 +209,12 @@ def _write_table(
 def _result_rows(
     campaign: Campaign, runs: Sequence[CampaignRun], workers: int
 ) -> Generator[dict[str, Any]]:
-    """Carry out runs on worker processes and yield their rows in the given order.
+    """Carry out runs on worker processes, and yield their rows in the order of `runs`.
 
     Args:
         campaign: The campaign.
         runs: Runs to carry out.
-        workers: Number of processes; 0 for this process.
+        workers: Number of processes; 0 to use this process only.
     """
     run_in_campaign = partial(carry_out_run, campaign)
     if not workers:
@@ -226,9 +234,9 @@ def _ignore_interrupts() -> None:
 
 
 def carry_out_run(campaign: Campaign, run: CampaignRun) -> dict[str, Any]:
-    """Carry out a run and return its table row, with results or the error's text.
+    """Carry out a run, and return its table row with results or error message.
 
-    An exception gives status "failed" instead of "done" and is not raised.
+    If an exception occurs, it is not raised; the status is "failed" instead of "done".
 
     Args:
         campaign: The campaign.
@@ -249,17 +257,17 @@ def carry_out_run(campaign: Campaign, run: CampaignRun) -> dict[str, Any]:
 
 
 def _result_columns(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
-    """Metrics, estimates and codes of diagnostics of a simulated experiment, by column.
+    """Metrics, estimates and diagnostic codes of a simulated experiment, by column.
 
-    Columns "metric/NAME", "estimates" (a dictionary for each parameter with method, name, truth,
-    value, sigma and relative error) and "diagnostics".
+    The columns are "metric/NAME", "estimates" (for each parameter a dictionary of method, name,
+    truth, value, sigma and relative error), and "diagnostics".
 
     Args:
         experiment: Experiment of the run.
-        campaign: The campaign, for the methods of identification.
+        campaign: The campaign, which defines the methods of identification.
 
     Raises:
-        ExperimentError: No estimate succeeded.
+        ExperimentError: No method gave an estimate.
     """
     from testbed.lab.experiment.evaluate import evaluate
     from testbed.lab.experiment.record import record

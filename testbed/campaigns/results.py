@@ -55,13 +55,13 @@ NULLABLE_COLUMNS = ("estimates", "diagnostics")
 def write_rows(
     path: Path, campaign: Campaign, rows: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Write the results table of a campaign, atomically.
+    """Write the results table of a campaign in one atomic step.
 
     Args:
         path: The file.
         campaign: The campaign of the runs.
-        rows: Row of each run by the names of `COLUMNS`, "factor/NAME" and "metric/NAME"; missing
-            values are null.
+        rows: One row per run, keyed by the names in `COLUMNS`, "factor/NAME" and "metric/NAME";
+            missing values are null.
     """
     columns = dict(COLUMNS)
     for k, name in enumerate(campaign.factors):
@@ -83,8 +83,8 @@ class Results:
 
     Attributes:
         name: Name of the campaign.
-        claim: Conclusion of the campaign, in a sentence.
-        rows: Rows of the runs, as dictionaries by column.
+        claim: Claim of the campaign, in a sentence.
+        rows: Rows of the runs, as dictionaries keyed by column.
     """
 
     name: str
@@ -98,15 +98,15 @@ class Results:
 
 
 def read_campaign_results(path: Path) -> Results:
-    """Read the results table of a campaign and check its schema.
+    """Read the results table of a campaign, and check its schema.
 
-    Columns beyond `COLUMNS`, factors and metrics are ignored.
+    Columns other than `COLUMNS`, factors and metrics are ignored.
 
     Args:
         path: The file.
 
     Raises:
-        RecordingError: The file is no campaign's table, or damaged.
+        RecordingError: The file is not the table of a campaign, or is damaged.
     """
     try:
         table = pq.ParquetFile(path).read()

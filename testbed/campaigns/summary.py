@@ -26,11 +26,11 @@ class CellSummary:
     """Errors and coverage of one estimator over the replicates of one cell.
 
     Attributes:
-        cell: Number of the cell.
-        levels: Levels of the factors, by name.
-        estimator: A method, or "consistent".
-        runs: Number of runs with this estimate.
-        error: Median of the rms relative errors.
+        cell: Index of the cell.
+        levels: Levels of the cell, keyed by factor.
+        estimator: Name of a method, or "consistent".
+        runs: Number of runs with an estimate of this estimator.
+        error: Median over the runs of the rms relative error.
         coverage: Fraction of the 95 % confidence intervals that contain the true value; NaN without
             standard deviations.
         bounds: 95 % confidence interval of the coverage.
@@ -46,12 +46,13 @@ class CellSummary:
 
 
 def summarise(rows: Iterable[Row]) -> list[CellSummary]:
-    """Errors and coverage from the rows of a campaign's table, by cell, then by estimator.
+    """Errors and coverage computed from the rows of a campaign's table.
 
-    Failed runs are ignored; a cell without successful runs has no summary.
+    Summaries are in the order of cells, then of estimators. Failed runs are ignored; a cell without
+    successful runs has no summary.
 
     Args:
-        rows: Rows, as dictionaries.
+        rows: Rows of the table, as dictionaries.
     """
     done = sorted(
         (row for row in rows if row["status"] == "done"), key=itemgetter("cell")
@@ -66,7 +67,7 @@ def summarise(rows: Iterable[Row]) -> list[CellSummary]:
 def _cell_summaries(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
     """Yield the summaries of a cell's estimators, in the order of `ESTIMATORS`.
 
-    An estimator is left out if no run of the cell has its error metric.
+    An estimator is skipped if no run of the cell has its error metric.
 
     Args:
         cell: Number of the cell.
@@ -96,9 +97,10 @@ def _cell_summaries(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
 
 
 def _intervals_with_truth(row: Row, method: str) -> list[bool]:
-    """True for each 95 % confidence interval of a run that contains the true value.
+    """Results of comparing each 95 % confidence interval of a run with the true value.
 
-    Parameters without a finite standard deviation have no interval.
+    An element is True if the interval contains the true value. Parameters without a finite standard
+    deviation have no interval.
 
     Args:
         row: Row of the run.
@@ -114,17 +116,18 @@ def _intervals_with_truth(row: Row, method: str) -> list[bool]:
 def coverage_with_interval(
     runs: Sequence[Sequence[bool]],
 ) -> tuple[float, float, float]:
-    """Coverage and 95 % confidence interval by E. L. Korn and B. I. Graubard.
+    """Coverage of confidence intervals, and its own 95 % confidence interval.
 
-    Coverage is the mean over runs of the share of intervals with the true value. Its interval is
-    that of C. J. Clopper and E. S. Pearson for an effective number of independent intervals, from
-    the variance between runs: intervals of one run share its noise.
+    Coverage is the mean over runs of the fraction of intervals that contain the true value. Since
+    the intervals of one run share its noise, the effective number of independent intervals is
+    computed from the variance between runs (E. L. Korn and B. I. Graubard). The interval of the
+    coverage is that of C. J. Clopper and E. S. Pearson for this number.
 
     Args:
-        runs: For each run, True for each confidence interval that contains the true value.
+        runs: For each run, a list with True for each interval that contains the true value.
 
     Returns:
-        Coverage, lower and upper bound; NaN without runs.
+        Coverage, and lower and upper bound of its interval; NaN without runs.
     """
     if not runs:
         return np.nan, np.nan, np.nan

@@ -36,8 +36,8 @@ class PayloadOutputOptions:
     """Options for the output format of a payload.
 
     Attributes:
-        vendor: Controller whose format is printed; None for a table.
-        flange: Link with the flange frame.
+        vendor: Robot controller whose format is printed; None for a table.
+        flange: Link whose frame is the flange frame.
         as_json: True to print JSON.
     """
 
@@ -64,18 +64,22 @@ class PayloadOutputOptions:
             )
 
     def flange_link(self, reading: ReadingOptions, tree: Tree) -> ModelLink | None:
-        """Link named by --flange, its `body` an index into the joints of a tree.
+        """Link selected by --flange.
+
+        Its `body` is the index in `tree` of the joint that moves it.
 
         Args:
             reading: Options of the model file.
             tree: The robot, possibly with locked joints.
 
         Returns:
-            The link; `body` is -1 if the tree lacks the joint that moves it. None without --flange.
+            The link, with `body` = -1 if the tree lacks the joint that moves it; None without
+            --flange.
 
         Raises:
             SettingsError: --flange is given without --as.
-            UnknownName: The controller is not in `VENDOR_WRITERS`, or the file has no such link.
+            UnknownName: The controller is not in `VENDOR_WRITERS`, or the model file has no such
+                link.
         """
         from testbed.applications.payload.vendors import VENDOR_WRITERS
 
@@ -102,13 +106,13 @@ class PayloadOutputOptions:
     ) -> None:
         """Print a payload as a table, as JSON, or in a controller's format.
 
-        With the controller's format, diagnostics go to standard error; with JSON, only those in the
-        estimate are printed.
+        In a controller's format, diagnostics are printed on standard error. In JSON, only the
+        diagnostics of the estimate are printed.
 
         Args:
             payload: Estimate of the payload.
             tree: The robot.
-            link: Link with the frame of the controller's format; None for the estimate's own frame.
+            link: Link whose frame the controller's format uses; None for the frame of the estimate.
             diagnostics: Diagnostics to print.
             title: Title of the table; default the name of the carrying link.
         """
@@ -375,15 +379,17 @@ def drives(
 
 
 def _replay_lines(reading: ReadingOptions, unseen: Path, written: Path) -> list[str]:
-    """Lines comparing original and written model, each simulated open-loop from recorded torques.
+    """Lines that compare the original and the written model with recorded positions.
+
+    Each model is simulated open-loop under the recorded torques.
 
     Args:
         reading: Options of the original model file.
-        unseen: Recording (Parquet) with torques, of a motion not used for the estimate.
-        written: Written model file, read with the same options.
+        unseen: Recording (Parquet) with torques, along a motion that was not used for the estimate.
+        written: Written model file, which is read with the same options.
 
     Returns:
-        Lines with the rms errors of both models' positions against the recorded positions.
+        Lines with the rms errors of both models' positions relative to the recorded positions.
     """
     from testbed.core.recordings.recording import Recording
     from testbed.lab.simulation.replay import replay_errors

@@ -135,11 +135,12 @@ def excite(
 
 
 class _SearchProgress:
-    """Progress of the search: largest time of all steps, and best standard deviation so far.
+    """Progress display of the search, with its longest possible duration and best result.
 
-    Called after each step with (searches done, searches in total, best criterion). The time is the
-    mean of the steps so far, times `MAX_SEARCH_STEPS` per search. Without a terminal, a note with
-    this time is printed once, after `TIMED_STEPS` steps.
+    An instance is called after each step with the number of finished searches, the number of all
+    searches, and the best criterion so far. The duration is the mean duration of the steps so far,
+    multiplied by `MAX_SEARCH_STEPS` per search. Without a terminal, a note with it is printed once,
+    after `TIMED_STEPS` steps.
     """
 
     def __init__(self, progress: Progress) -> None:
@@ -171,10 +172,10 @@ class _SearchProgress:
 
 @contextmanager
 def _interrupt_flag() -> Iterator[Callable[[], bool]]:
-    """Context manager with a function that returns True after Ctrl-C; a second Ctrl-C interrupts.
+    """Context manager with a function that returns True after Ctrl-C.
 
-    The first Ctrl-C only sets the flag and restores the previous handler, as does the end of the
-    block.
+    The first Ctrl-C sets the flag and restores the previous handler, so that a second Ctrl-C
+    interrupts the program. The previous handler is also restored at the end of the block.
     """
     interrupts: list[bool] = []
     previous_handler = signal.getsignal(signal.SIGINT)
@@ -193,8 +194,8 @@ def _interrupt_flag() -> Iterator[Callable[[], bool]]:
 def _load_experiment(file: Path, settings: list[str]) -> Experiment:
     """Load an experiment from a .toml file, or the default experiment of a model file.
 
-    For a model file, inconsistent bodies are replaced by the nearest consistent bodies, with notes
-    on standard error.
+    For a model file, bodies that are not physically consistent are replaced by the nearest
+    consistent bodies, with notes on standard error.
 
     Args:
         file: Experiment file or model file.
@@ -210,10 +211,11 @@ def _load_experiment(file: Path, settings: list[str]) -> Experiment:
 
 
 def _reject_design_options(options: Mapping[str, Path | None]) -> None:
-    """Raise BadParameter if an option of the design is given with --check.
+    """Raise BadParameter if --check is combined with options of the design.
 
     Args:
-        options: Values of the design's options by name; None for an option that is not given.
+        options: Values of the design's options, keyed by name; None for an option that was not
+            given.
     """
     design_options = [name for name, value in options.items() if value is not None]
     if design_options:
@@ -225,7 +227,7 @@ def _reject_design_options(options: Mapping[str, Path | None]) -> None:
 def _print_motion_proof(
     file: Path, settings: list[str], *, everything: bool, as_json: bool
 ) -> None:
-    """Print the proven margins of a motion to its limits and exit.
+    """Print the proven margins of a motion to its limits, then exit.
 
     Args:
         file: Motion file.
@@ -234,7 +236,7 @@ def _print_motion_proof(
         as_json: True to print the proof as JSON, without diagnostics.
 
     Raises:
-        Exit: Always: code 0 if the limits are proven at every moment, else 1.
+        Exit: Always; the code is 0 if the limits are proven to hold at every moment, else 1.
     """
     from testbed.core.base.codec import to_json_values
     from testbed.lab.experiment.motions import prove_motion_file

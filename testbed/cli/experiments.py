@@ -122,13 +122,13 @@ def simulate(
 
 
 def _ignore_sample(time: Array, truth: Truth) -> None:
-    """Ignore a sample of the simulation; used without --live."""
+    """Ignore simulated samples; the callback used without --live."""
 
 
 def _live_view(experiment: Experiment) -> BlockCallback:
     """Callback that sends simulated samples to an open Rerun viewer.
 
-    Diagnostics of the robot's meshes are printed as notes.
+    Diagnostics of the meshes in the robot's model are printed as notes.
     """
     from testbed.bodies.shapes.appearance import load_appearance
     from testbed.lab.experiment.rig import robot_of

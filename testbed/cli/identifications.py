@@ -47,15 +47,15 @@ FixedLinks = Annotated[
 
 @dataclass(frozen=True)
 class BodyOptions:
-    """Options for consistent bodies, and for the model file to be written with these.
+    """Options for consistent bodies, and for a model file with these bodies.
 
     Attributes:
         consistent: True to compute physically consistent bodies.
         write: Model file to write; None for no file.
-        fixed: Mass of links fixed to each other in the written file: "lump" for all in one link,
-            "share" for its distribution among the links.
-        in_place: True to allow `write` to be the model file itself.
-        force: True to replace an existing file.
+        fixed: Treatment of links that are fixed to each other in the written file: "lump" assigns
+            their mass to one link, "share" distributes it among them.
+        in_place: True if `write` may be the model file itself.
+        force: True if an existing file may be replaced.
     """
 
     consistent: ConsistentBodies = False
@@ -80,17 +80,17 @@ class BodyOptions:
         return self.consistent or self.write is not None
 
     def check(self, reading: ReadingOptions, recordings: Sequence[Path]) -> None:
-        """Check, before the estimation, options for bodies and the file of --write.
+        """Check the options for bodies and the output of --write before the estimation.
 
         Args:
             reading: Options of model file and recordings.
-            recordings: Recordings, which must not be replaced.
+            recordings: Recordings, which must not be overwritten.
 
         Raises:
             ModelError: The file has the wrong extension, or is the model file without --in-place.
             BadParameter: The file exists and --force is not given.
-            SettingsError: --set consistent... (but prior_error) without --consistent or --write,
-                or --in-place without --write.
+            SettingsError: A setting of [consistent] other than prior_error is given without
+                --consistent or --write, or --in-place without --write.
         """
         from testbed.bodies.consistency.options import ConsistencyOptions
         from testbed.bodies.write_model import check_copy_path
@@ -119,17 +119,17 @@ class BodyOptions:
     ) -> tuple[Diagnostic, ...]:
         """Write a copy of the model file with consistent bodies to the path of --write.
 
-        Without --write nothing is written. The comment in the copy lists recordings and methods.
+        Nothing is written without --write. A comment in the copy lists recordings and methods.
 
         Args:
             bodies: Consistent bodies.
             reading: Options of the model file.
-            recordings: Recordings of the estimate, for the provenance comment.
+            recordings: Recordings used for the estimate, for the comment.
             drives: Drives whose friction, rotors and torque constants are also written.
             delay: Delay of the drives behind their commands [s], for the motors of an MJCF file.
 
         Returns:
-            Diagnostics of the bodies, then of the written file.
+            Diagnostics of the bodies, followed by those of the written file.
 
         Raises:
             ModelError: The file cannot be written.
@@ -291,7 +291,7 @@ def identify(
 
 
 def _missing_signals(methods: Iterable[Signal]) -> list[Diagnostic]:
-    """Diagnostics "estimate.no-signal", one for each given method.
+    """Diagnostics "estimate.no-signal", one per method.
 
     Args:
         methods: Methods ("wrench", "torque") whose signal the recording lacks.

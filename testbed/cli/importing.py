@@ -42,22 +42,23 @@ def write_mapping(
     reading: ReadingOptions,
     page: Path | None = None,
 ) -> MappingSolution | None:
-    """Solve the mapping file of logs, write it, and print the next command.
+    """Solve the mapping file for log files, write it, and print the next command.
 
-    Notes on standard error name the keys that are left empty, with their line numbers.
+    Notes on standard error list the keys that remain empty, with their line numbers.
 
     Args:
         files: Log files of other programs.
         out: Mapping file to write; None to print the mapping.
         reading: Options of the robot's model file, if a model is given.
-        page: HTML file with the solution to write; None for no page.
+        page: HTML page of the solution to write; None for no page.
 
     Returns:
-        The solved mapping; None if keys are left empty (`missing_keys`) or it was printed.
+        The solved mapping; None if keys remain empty (`missing_keys`), or if the mapping was
+        printed.
 
     Raises:
-        RecordingError: The data contradict the mapping, which is first written as far as solved;
-            the message has its line.
+        RecordingError: The data contradict the mapping. The mapping is written first, as far as it
+            was solved; the message contains the line of the contradiction.
     """
     from testbed.core.base.files import replace_together
     from testbed.core.base.whole_files import write_atomically
@@ -108,18 +109,19 @@ def write_mapping(
 def _solve_and_print(
     files: Sequence[Path], mapping_path: Path, reading: ReadingOptions
 ) -> MappingSolution:
-    """Solve a mapping by column names and, for a given model, by the data.
+    """Solve a mapping from column names and, if a model is given, from the data.
 
-    Without a model the draft from the column names is returned and nothing is printed. Otherwise
-    diagnostics of solution, locked joints and robot are printed; --gravity overrides the draft.
+    Without a model, the draft from the column names is returned and nothing is printed. With a
+    model, diagnostics of the solution, of locked joints and of the robot are printed. --gravity
+    overrides the draft.
 
     Args:
         files: Log files.
-        mapping_path: Mapping file, to whose folder paths are relative.
+        mapping_path: Mapping file; paths in it are relative to its folder.
         reading: Options of the robot's model file.
 
     Returns:
-        The solution; a contradiction by the data is in its `error` and not raised.
+        The solution. A contradiction by the data is not raised, but stored in its `error`.
     """
     from testbed.core.robot.gravity import mounting_name
     from testbed.core.robot.placeholders import find_placeholders
@@ -152,11 +154,12 @@ def _solve_and_print(
 def _refusal_with_line(
     refusal: Exception, draft: MappingDraft, mapping_path: Path
 ) -> RecordingError:
-    """Error of a refused mapping, as "file:line: reason".
+    """Error for a refused mapping, with the message "file:line: reason".
 
     Args:
-        refusal: Error; a part "[table] key" of its message gives the line, else it is line 1.
-        draft: Draft of the mapping, with the text.
+        refusal: Original error. The line is that of the key if the message contains "[table] key",
+            otherwise 1.
+        draft: Draft of the mapping, with its text.
         mapping_path: Mapping file.
     """
     reason = str(refusal).removeprefix(f"{mapping_path}: ")
@@ -283,8 +286,8 @@ def _print_imports(
 
     Args:
         imports: Import reports as dictionaries, one per recording.
-        lines: Lines printed below those of the reports.
-        cuts: Diagnostics of the gaps at which the recording was cut, printed first.
+        lines: Further lines, printed after the reports.
+        cuts: Diagnostics of the gaps at which recordings were split; printed first.
         report: Report of the plausibility check.
     """
     from testbed.importing.import_report import ImportReport
@@ -301,11 +304,11 @@ def _print_imports(
 
 
 def _time_offset_lines(report: CheckReport, correction: str) -> Iterator[str]:
-    """Yield a line with the time offset of each signal to the positions.
+    """Yield one line per signal with its time offset relative to the positions.
 
     Args:
         report: Report of the plausibility check, with the offsets.
-        correction: Text after a significant offset; others end in ", not significant".
+        correction: Text appended to a significant offset; other lines end in ", not significant".
     """
     for each in report.offsets:
         yield each.diagnostic().text + (
@@ -320,16 +323,17 @@ def checked_import(
     align: bool = False,
     prepared: PreparedRecordings | None = None,
 ) -> tuple[Sequence[Recording], list[Diagnostic], CheckReport]:
-    """Import the recordings of a mapping file and check their plausibility.
+    """Import the recordings of a mapping file, and check their plausibility.
 
     Args:
         mapping: Mapping file.
         reading: Options of the model file; without a model the check is skipped.
-        align: True to correct delays and drifts of clocks.
-        prepared: Recordings of the mapping that are already imported, to save the import.
+        align: True to correct delays and drifts of the clocks.
+        prepared: Recordings of the mapping that have already been imported, to avoid a second
+            import.
 
     Returns:
-        Recordings, diagnostics of the cuts between these, and report of the check (empty without a
+        Recordings, diagnostics of the gaps between them, and report of the check (empty without a
         model).
 
     Raises:

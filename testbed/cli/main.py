@@ -28,10 +28,10 @@ INPUT_ERROR, PROGRAM_ERROR, INTERRUPTED, BROKEN_PIPE = 2, 70, 130, 141
 
 
 def main() -> None:
-    """Run the command of the command line and exit with its code.
+    """Run the command given on the command line, and exit with its exit code.
 
-    Any exception becomes a message on standard error and an exit code (module docstring). Slow
-    imports are in `_command`, so that Ctrl-C works from the start.
+    Any exception is converted to a message on standard error and an exit code (see the module
+    docstring). Slow modules are imported in `_command`, so that Ctrl-C is handled from the start.
     """
     interrupts, reserve = _Interrupts(), bytearray(RESERVED_BYTES)
     gc.set_threshold(COLLECTION_THRESHOLD)
@@ -54,12 +54,12 @@ def main() -> None:
 
 
 class _Interrupts:
-    """Signal handlers: the first Ctrl-C raises KeyboardInterrupt, the second ends the process.
+    """Signal handlers for Ctrl-C: the first raises KeyboardInterrupt, the second ends the process.
 
-    SIGTERM and SIGHUP are treated as Ctrl-C; signals ignored by the parent stay ignored. An
-    interrupted import may raise another exception instead: `interrupted` is True after any of these
-    signals. A KeyboardInterrupt that Python discards, as in a callback, is raised again after 10
-    ms.
+    SIGTERM and SIGHUP are treated as Ctrl-C; signals that the parent process ignores remain
+    ignored. An import that is interrupted may raise a different exception, so `interrupted` is set
+    to True by any of these signals. If Python discards the KeyboardInterrupt, as in a callback, it
+    is raised again after 10 ms.
     """
 
     def __init__(self) -> None:
@@ -79,15 +79,15 @@ class _Interrupts:
         sys.unraisablehook = self._repeat_interrupt
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        """Handle the first signal: restore the defaults and raise KeyboardInterrupt."""
+        """Handle the first signal: restore the default handlers and raise KeyboardInterrupt."""
         self.interrupted = True
         self.restore_defaults()
         raise KeyboardInterrupt
 
     def _repeat_interrupt(self, unraisable: sys.UnraisableHookArgs) -> None:
-        """Handle an exception that Python discards: repeat an interrupt by a timer of 10 ms.
+        """Raise a KeyboardInterrupt that Python has discarded again, after 10 ms.
 
-        Other exceptions, and platforms without timers, use Python's default hook.
+        For other exceptions, and on platforms without timers, Python's default hook is called.
         """
         if (
             self.interrupted
@@ -100,20 +100,20 @@ class _Interrupts:
             sys.__unraisablehook__(unraisable)
 
     def ignore_interrupts(self) -> None:
-        """Ignore Ctrl-C from now on, when all output is written."""
+        """Ignore Ctrl-C from now on; called when all output has been written."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def restore_defaults(self) -> None:
-        """Restore the default handlers, which end the process without a message."""
+        """Restore the default signal handlers, which end the process without a message."""
         for each in self._handled_signals:
             if signal.getsignal(each) == self._interrupt:
                 signal.signal(each, signal.SIG_DFL)
 
 
 def _prepare_streams() -> None:
-    """Replace closed standard streams by the null device, and escape unencodable characters.
+    """Replace closed standard streams by the null device, and set error handling for encoding.
 
-    Characters that the encoding of standard output lacks become backslash escapes.
+    Characters that the encoding of standard output lacks are written as backslash escapes.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         # in this order each stream gets its standard file descriptor
@@ -125,10 +125,10 @@ def _prepare_streams() -> None:
 
 
 def _command() -> int:
-    """Run the command of the command line and return the exit code.
+    """Run the command given on the command line, and return its exit code.
 
-    Sets the warning filter and environment variables of MuJoCo and Matplotlib. Errors of the
-    command are raised.
+    The warning filter, and environment variables for MuJoCo and Matplotlib, are set first. Errors
+    of the command are raised.
     """
     import warnings
 
@@ -152,11 +152,11 @@ def _command() -> int:
 
 
 def _print_error(error: BaseException) -> int:
-    """Print the message of an error in one line and return the exit code.
+    """Print the message of an error on one line, and return the exit code.
 
-    Code 2 for `TestbedError`, operating system, memory, nesting, encoding and options; 70 for a
-    library that fails to load and, after a traceback, for other exceptions; 141 without a message
-    for a closed pipe.
+    The code is 2 for `TestbedError` and for errors of the operating system, memory, nesting depth,
+    encoding and options. It is 70 for a library that cannot be loaded and, with a traceback, for
+    other exceptions. It is 141, without a message, for a closed pipe.
     """
     from testbed.core.base.errors import TestbedError
 
@@ -203,7 +203,7 @@ def _print_error(error: BaseException) -> int:
 
 
 def _print_line(message: str) -> None:
-    """Print one line on standard error, prefixed by "testbed: "; a closed pipe is ignored."""
+    """Print one line on standard error with the prefix "testbed: ", ignoring a closed pipe."""
     from testbed.core.base.errors import printable_line
 
     try:
@@ -214,9 +214,10 @@ def _print_line(message: str) -> None:
 
 
 def _flush_output(code: int) -> int:
-    """Flush standard output and return the exit code.
+    """Flush standard output, and return the exit code.
 
-    After an OSError, as of a closed pipe, remaining output is discarded, and the code is unchanged.
+    After an OSError, for example due to a closed pipe, remaining output is discarded and the given
+    code is returned.
     """
     try:
         sys.stdout.flush()

@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 
 class EquationName(StrEnum):
-    """Names of equation kinds; an enumeration, as Typer accepts no list of literals."""
+    """Names of the kinds of equations, as an enumeration for Typer.
+
+    Typer does not support a list of literals.
+    """
 
     joint_forces = "joint-forces"
     base_wrench = "base-wrench"
@@ -230,15 +233,16 @@ def equations(
 def _identifiable_parameters(
     tree: Tree, gravity: GravityVector | None, known: bool | list[str]
 ) -> tuple[InstrumentIdentifiability, ...]:
-    """Identifiability of every standard parameter by each instrument, as by `identifiability`.
+    """Identifiability of each standard parameter by each instrument (see `identifiability`).
 
-    A function of its own, as it imports SciPy's sparse matrices, which takes a third of a second.
+    The import in this function takes a third of a second because of SciPy's sparse matrices, so it
+    is not at the top of the module.
 
     Args:
         tree: The robot.
-        gravity: Gravity, bedplate frame [m/s^2]; None for the model file's.
-        known: Barycentric parameters known to be zero: names, or True for all that are zero in the
-            model file.
+        gravity: Gravity, bedplate frame [m/s^2]; None for the gravity of the model file.
+        known: Barycentric parameters known to be zero: a list of names, or True for all parameters
+            that are zero in the model file.
     """
     from testbed.core.parameters.identifiability import identifiability
 
@@ -253,12 +257,13 @@ def _print_comparison(
     zeros: bool | list[str],
     max_terms: int,
 ) -> NoReturn:
-    """Print, for each equation of a listing, "equal" or the listing less the robot's equation.
+    """Print the comparison of a listing of equations with the robot's equations.
 
-    Arguments as for `compare_equations`, with the listing read from a file.
+    For each equation, the output is "equal", or the difference `listing - robot`. The arguments are
+    those of `compare_equations`, with a file for the listing.
 
     Raises:
-        Exit: Always: code 1 if an equation differs, else 0.
+        Exit: Always; the code is 1 if an equation differs, else 0.
     """
     from testbed.core.base.contents import read_text
     from testbed.equations.compare import CHARACTERS_PER_TERM, compare_equations
@@ -313,11 +318,13 @@ def list_(kind: Kind = None) -> None:
 
 
 def _print_kind(entry: KindDescription, key: str) -> None:
-    """Print summary, keys with defaults, source and example of a simulated error or effect.
+    """Print the description of a simulated error or effect.
+
+    It consists of a summary, keys with defaults, source and example.
 
     Args:
         entry: Description of the kind of sensor error or plant effect.
-        key: Key of an experiment file that takes the kind.
+        key: Key in an experiment file under which the kind is given.
     """
     typer.echo("\n".join(filter(None, (entry.summary, entry.details))))
     for name, default, meaning in entry.keys:

@@ -15,10 +15,12 @@ if TYPE_CHECKING:
 
 
 def require_different(paths: Sequence[Path]) -> None:
-    """Refuse a recording that is given twice: its noise would count as independent.
+    """Raise RecordingError if a recording is given twice.
+
+    The noise of the two copies would be treated as independent.
 
     Args:
-        paths: Paths of recordings, or links to these.
+        paths: Paths of recordings, or links to recordings.
 
     Raises:
         RecordingError: A recording is given twice.
@@ -34,14 +36,14 @@ def require_different(paths: Sequence[Path]) -> None:
 
 
 def open_recording(path: Path) -> Source:
-    """Open a recording, or import the recording of a mapping file.
+    """Open a recording, or import the one that a mapping file describes.
 
     Args:
-        path: Mapping file (.toml), whose logs are read into memory, or recording (Parquet), whose
-            data stay in the file.
+        path: Recording (Parquet), whose data stay in the file, or mapping file (.toml), whose log
+            files are read into memory.
 
     Raises:
-        RecordingError: The file is no recording.
+        RecordingError: The file is not a recording.
         ExperimentError: The mapping is invalid.
     """
     if path.suffix == ".toml":
@@ -54,12 +56,12 @@ def open_recording(path: Path) -> Source:
 
 
 def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:
-    """Recording with the calibrated errors of the plate removed from the wrench.
+    """Recording whose wrench is corrected for the calibrated errors of the plate.
 
     Args:
         source: The recording.
         tree: The robot.
-        plate: Calibration file of the plate; None returns the recording unchanged.
+        plate: Calibration file of the plate; None to return the recording unchanged.
     """
     from testbed.applications.calibration import corrected
     from testbed.lab.experiment.plate_file import read_calibration

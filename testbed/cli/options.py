@@ -20,10 +20,13 @@ Command = TypeVar("Command", bound=Callable[..., None])
 
 
 def ending(*endings: str) -> Callable[[Path | None], Path | None]:
-    """Callback that returns the path of an output file, or raises BadParameter for its suffix.
+    """Callback that checks the suffix of an output file.
+
+    It returns the path, or raises BadParameter if the suffix is not allowed.
 
     Args:
-        *endings: Allowed suffixes in lower case, such as ".html"; case of the path is ignored.
+        *endings: Allowed suffixes in lower case, such as ".html"; the case of the path's suffix is
+            ignored.
     """
 
     def check_suffix(path: Path | None) -> Path | None:
@@ -42,17 +45,17 @@ def check_outputs(
     folder: bool = False,
     read: Iterable[Path | None] = (),
 ) -> None:
-    """Check, before the work, that a command may write its outputs.
+    """Check that a command may write its outputs, before it does any work.
 
     Args:
-        *paths: Files to write; None is skipped.
-        force: True to replace existing files.
+        *paths: Files to write; None is ignored.
+        force: True if existing files may be replaced.
         folder: True if the paths are folders.
-        read: Input files, which are never replaced; None is skipped.
+        read: Input files, which are never replaced; None is ignored.
 
     Raises:
         BadParameter: A file exists, or a folder is not empty, and `force` is False.
-        OSError: An output cannot be written, is an input, or occurs twice.
+        OSError: An output cannot be written, is also an input, or is given twice.
     """
     from testbed.core.base.files import check_writable
 
@@ -70,7 +73,7 @@ def check_outputs(
 
 
 class GravityVector(NamedTuple):
-    """Gravity of --gravity in the bedplate frame, (x, y, z) [m/s^2]."""
+    """Gravity given by --gravity, in the bedplate frame, (x, y, z) [m/s^2]."""
 
     x: float
     y: float
@@ -81,13 +84,13 @@ class GravityVector(NamedTuple):
 
     @staticmethod
     def parse(word: str) -> GravityVector:
-        """Parse gravity from the value of --gravity.
+        """Parse the value of --gravity.
 
         Args:
-            word: Three numbers, such as 0,0,-9.81, or a mounting such as `wall +x`.
+            word: Three numbers such as 0,0,-9.81, or a mounting such as `wall +x`.
 
         Raises:
-            BadParameter: The word is neither.
+            BadParameter: The word is neither of these.
         """
         try:
             return GravityVector(*parse_gravity(word))
@@ -96,10 +99,10 @@ class GravityVector(NamedTuple):
 
 
 def join_gravity_words(words: list[str]) -> list[str]:
-    """Command-line arguments with the words after the first --gravity joined to one.
+    """Join the words of the first --gravity in command-line arguments to a single word.
 
-    Two words are tried, then three (`wall +x`, `0 0 -9.81`); words that are no gravity are left
-    unchanged.
+    Joining two words is tried first, then three (`wall +x`, `0 0 -9.81`). Words that do not
+    describe gravity are left unchanged.
     """
     start = [*words, "--gravity"].index("--gravity") + 1
     for end in (start + 2, start + 3):
@@ -124,19 +127,19 @@ app = typer.Typer(
 
 
 class OptionFields:
-    """Annotation of a parameter: which fields of its dataclass are options of the command.
+    """Annotation that lists the fields of a dataclass that are options of a command.
 
     Attributes:
-        names: Names of the fields, in the order of the help.
-        required: Annotated types of options that must be given, by field; these come first and
-            replace type and default of the field.
+        names: Names of the fields, in the order of the help text.
+        required: Annotated types of required options, keyed by field; these come first, and their
+            type replaces type and default of the field.
     """
 
     def __init__(self, *names: str, **required: Any) -> None:
         self.names, self.required = (*required, *names), required
 
     def parameters(self, group: Any) -> list[Parameter]:
-        """Keyword-only parameters of a signature, one per field in `names`.
+        """Keyword-only parameters for a signature, one per field in `names`.
 
         Args:
             group: Dataclass of the options.
@@ -148,14 +151,14 @@ class OptionFields:
 
 
 def _parameter(name: str, hint: Any, default: Any) -> Parameter:
-    """Keyword-only parameter of a command's signature."""
+    """Keyword-only parameter for a command's signature."""
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
 def command(name: str | None = None) -> Callable[[Command], Command]:
-    """Decorator that registers a function as a command, with option groups expanded.
+    """Decorator that registers a function as a command and expands its option groups.
 
-    A parameter annotated by `OptionFields` is a dataclass; the fields named there become separate
+    A parameter annotated with `OptionFields` is a dataclass. The listed fields become separate
     options, from which the command builds the dataclass. The function itself is returned unchanged.
 
     Args:
@@ -194,7 +197,7 @@ def command(name: str | None = None) -> Callable[[Command], Command]:
 
 
 def _print_version(requested: bool) -> None:
-    """Print the version and exit, for --version."""
+    """Print the version and exit; callback of --version."""
     if requested:
         from testbed.core.base.installation import installed_version
 
@@ -232,7 +235,7 @@ Everything = Annotated[
 
 
 def _enable_timings(context: typer.Context, enabled: bool) -> bool:
-    """Print the CPU times of stages at the end of the command, for --timings."""
+    """Print the CPU times of stages at the end of the command; callback of --timings."""
     if enabled:
         from testbed.view.output import print_stage_times
 
@@ -283,11 +286,11 @@ Gravity = Annotated[
 def settings_with_gravity(
     settings: list[str] | None, gravity: GravityVector | None
 ) -> list[str]:
-    """Settings of --set, followed by --gravity as a setting "gravity=[x, y, z]".
+    """Settings of --set, followed by --gravity in the form "gravity=[x, y, z]".
 
     Args:
         settings: Values of --set; None for none.
-        gravity: Value of --gravity; None for the experiment's gravity.
+        gravity: Value of --gravity; None to keep the gravity of the experiment.
     """
     gravity_setting = [] if gravity is None else [f"gravity={[*gravity]}"]
     return [*(settings or ()), *gravity_setting]

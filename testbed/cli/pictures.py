@@ -125,9 +125,9 @@ def _show_file(
     Args:
         path: Written .rrd file.
         diagnostics: Diagnostics to print.
-        serve: True to serve the viewer to a browser; precedes `open_window`.
+        serve: True to display the file in a browser; takes precedence over `open_window`.
         open_window: True to replace this process by the viewer.
-        port: Port of the page for the browser.
+        port: Port of the web page.
     """
     from testbed.view import output
     from testbed.view.viewer.live import become_viewer
@@ -145,7 +145,7 @@ def _show_file(
 def _write_motion_view(
     file: Path, settings: Sequence[str], path: Path
 ) -> list[Diagnostic]:
-    """Write the .rrd file of a motion: robot, obstacles, and margins to the limits.
+    """Write a motion as .rrd file: robot, obstacles, and margins to the limits.
 
     Args:
         file: Motion file.
@@ -153,8 +153,8 @@ def _write_motion_view(
         path: .rrd file to write.
 
     Returns:
-        Diagnostics of robot, meshes and limits; first "motion.not-proven" if a limit is exceeded
-        or not proven.
+        Diagnostics of robot, meshes and limits. The first is "motion.not-proven" if a limit is
+        exceeded or cannot be proven to hold.
     """
     from testbed.bodies.shapes.appearance import load_appearance
     from testbed.lab.experiment.motions import obstacle_shapes, prove_motion_file
@@ -246,10 +246,10 @@ def report(
 
 
 def _sibling_path(run: Path, ending: str) -> Path:
-    """Path next to a run, with the name of the run and another suffix.
+    """Path beside a run, with the name of the run and another suffix.
 
-    A suffix .parquet or .toml of the run is replaced; symbolic links and "." are resolved for the
-    name.
+    A suffix .parquet or .toml of the run is replaced. For the name, symbolic links and "." are
+    resolved.
     """
     real_path = Path(os.path.realpath(run))  # does not fail for circular links
     name = real_path.name.removesuffix(".parquet").removesuffix(".toml") + ending
@@ -263,13 +263,14 @@ def _reject_recording_options(
     consistent: bool = False,
     other: Path | None = None,
 ) -> None:
-    """Raise ExperimentError if all paths are run folders and options for recordings are given.
+    """Raise ExperimentError for recording options if all paths are run folders.
 
     Args:
         paths: Run folders and recordings.
-        reading: Options of model file and recordings; any but --unchecked is for recordings only.
+        reading: Options of model file and recordings; all except --unchecked apply to recordings
+            only.
         consistent: True if consistent bodies are requested.
-        other: Recording for validation.
+        other: Recording to be used for validation.
     """
     from testbed.core.base.errors import ExperimentError
 
@@ -286,10 +287,10 @@ def _reject_recording_options(
 
 
 def _load_run(path: Path, reading: ReadingOptions, *, consistent: bool = False) -> Run:
-    """Load the run of a run folder, or identify a recording and build a run.
+    """Load a run from a run folder, or identify a recording to build a run.
 
-    Joints at rest in a recording are locked. Its run has the diagnostics of plausibility check,
-    estimates and model file.
+    Joints that are at rest in a recording are locked. The run of a recording has the diagnostics of
+    the plausibility check, of the estimates and of the model file.
 
     Args:
         path: Run folder, recording or mapping file.
@@ -343,10 +344,10 @@ def _load_run(path: Path, reading: ReadingOptions, *, consistent: bool = False) 
 
 
 def _similar_run_hint(path: Path) -> str:
-    """Hint at runs whose names begin with the name of a missing path.
+    """Text that suggests runs whose names begin with the name of a missing path.
 
-    At most three folders or recordings, sorted by name; "" if there are none. The default name of a
-    run folder ends in a hash.
+    It lists at most three folders or recordings, sorted by name; it is "" if there are none. The
+    default name of a run folder ends in a hash.
     """
     if not path.name or not path.parent.is_dir():
         return ""
@@ -362,9 +363,9 @@ def _similar_run_hint(path: Path) -> str:
 def _load_recording(
     path: Path, reading: ReadingOptions
 ) -> tuple[ReadingOptions, Recording, Sequence[Diagnostic]]:
-    """Load a recording into memory, with the plate's calibration applied, and check it.
+    """Load a recording into memory, correct it for the plate's calibration, and check it.
 
-    Segments between gaps of the recording are gathered to one recording.
+    Segments between gaps are combined into one recording.
 
     Returns:
         Options for this recording, the recording, and diagnostics of the check.
@@ -377,9 +378,9 @@ def _load_recording(
 
 
 def _as_recording(source: Source) -> Recording:
-    """Recording in memory with all samples of a source.
+    """Recording in memory that contains all samples of a source.
 
-    A `Recording` is returned unchanged, with its simulated truth.
+    A `Recording` is returned unchanged, including its simulated truth.
     """
     from testbed.core.recordings.recording import Recording
 
@@ -387,10 +388,12 @@ def _as_recording(source: Source) -> Recording:
 
 
 def _run_with_validation(run: Run, path: Path, reading: ReadingOptions) -> Run:
-    """Run with the residuals of its estimates on another recording, and the diagnostics.
+    """Run with the validation of its estimates on another recording.
+
+    The diagnostics of the validation are added.
 
     Args:
-        run: Run with a model file, whose locked joints apply to the other recording.
+        run: Run with a model file; its locked joints are also locked in the other recording.
         path: The other recording, or its mapping file.
         reading: Options of the other recording.
     """

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 class ReadingOptions:
     """Options for reading a robot's model file and recordings.
 
-    Immutable: methods that adapt the options to a recording return a copy.
+    Instances are immutable: methods that adapt the options to a recording return a copy.
     """
 
     model: Annotated[
@@ -148,7 +148,7 @@ class ReadingOptions:
 
     @property
     def model_words(self) -> list[str]:
-        """Command-line arguments --model (ROBOT if none), --set, --lock and flags, for print."""
+        """Arguments --model (ROBOT without a model), --set, --lock and flags, as printable text."""
         arguments = [("--model", str(self.model or "ROBOT"))]
         arguments += [("--set", each) for each in self.settings or ()]
         arguments += [("--lock", each) for each in self.lock or ()]
@@ -160,12 +160,12 @@ class ReadingOptions:
 
     @property
     def known_zeros(self) -> bool | list[str]:
-        """Parameters known to be zero: names of --zero, or the value of --zeros."""
+        """Parameters known to be zero: the names given by --zero, or the value of --zeros."""
         return self.zero or self.zeros
 
     @cached_property
     def tables(self) -> RecordingTables:
-        """Tables [robot] and [identification], from --set and, overriding it, other options.
+        """Tables [robot] and [identification] of --set; other options take precedence.
 
         Raises:
             ExperimentError: A setting of --set is invalid.
@@ -186,7 +186,7 @@ class ReadingOptions:
 
     @property
     def prior_error(self) -> float | None:
-        """Relative error of the model file's bodies, if set by --set; else None."""
+        """Relative error of the model file's bodies, if given by --set; otherwise None."""
         is_set = any(
             word.startswith("consistent.prior_error") for word in self.settings or ()
         )
@@ -194,19 +194,19 @@ class ReadingOptions:
 
     @property
     def estimator_arguments(self) -> dict[str, Any]:
-        """Keyword arguments of all estimators: gravity, settings, threads."""
+        """Keyword arguments that all estimators share: gravity, settings, threads."""
         settings = self.tables.identification
         return {"gravity": self.gravity, "settings": settings, "threads": self.threads}
 
     def identify(
         self, source: Source, label: str = "identifying", method: Signal = "wrench"
     ) -> Estimate:
-        """Identify the robot from a recording, with progress on the terminal.
+        """Identify the robot from a recording, with a progress display on the terminal.
 
         Args:
             source: The recording.
             label: Text of the progress bar.
-            method: Signal to fit, "wrench" or "torque".
+            method: Signal to be fitted, "wrench" or "torque".
         """
         from testbed.core.estimation.identify import identify
         from testbed.view.output import Progress
@@ -223,10 +223,12 @@ class ReadingOptions:
 
     @cached_property
     def file(self) -> ModelFile:
-        """Model file with locks and root; --lock overrides [robot] of --set. `locked_file` if set.
+        """Model file with the locked joints and the root; `locked_file` if this is set.
+
+        The option --lock overrides [robot] of --set.
 
         Raises:
-            ModelError: A joint to be locked is given twice, or is no joint of the file.
+            ModelError: A joint to be locked is given twice, or is not a joint of the file.
         """
         from testbed.core.robot.locks import parse_lock
         from testbed.core.robot.model_file import ModelFile, joint_names, mimic_joints
@@ -252,7 +254,7 @@ class ReadingOptions:
 
     @cached_property
     def tree(self) -> Tree:
-        """Robot with joints and shafts of --set; with --sensor the part beyond that sensor."""
+        """Robot with joints and shafts of --set; with --sensor, only links beyond the sensor."""
         if not self.settings and self.sensor is None:
             return self.file.tree()
         return self.tables.sensed_part(
@@ -260,7 +262,7 @@ class ReadingOptions:
         )
 
     def prepare_source(self, recording: Source) -> Source:
-        """Recording mapped to the robot's joints, with the plate's calibration applied."""
+        """Recording with the robot's joints, corrected for the plate's calibration."""
         from testbed.core.recordings.views import adapt_to_robot
         from testbed.view import output
 
@@ -273,7 +275,7 @@ class ReadingOptions:
     def open_joined(
         self, paths: Sequence[Path]
     ) -> tuple[ReadingOptions, Source, list[Diagnostic]]:
-        """Open recordings as one source, each checked for plausibility if it was imported.
+        """Open recordings as one source, and check each imported recording for plausibility.
 
         Args:
             paths: Recordings or mapping files.
@@ -306,7 +308,7 @@ class ReadingOptions:
     def open_segments(
         self, path: Path
     ) -> tuple[ReadingOptions, list[Source], tuple[Diagnostic, ...]]:
-        """Open a recording as segments between its gaps, and check the longest segment.
+        """Open a recording as segments between gaps, and check the longest segment.
 
         Args:
             path: Recording or mapping file.
@@ -332,8 +334,9 @@ class ReadingOptions:
     def for_recording(self, source: Source) -> tuple[ReadingOptions, Source]:
         """Adapt the options to a recording, and the recording to the robot.
 
-        Joints of --lock without =q are locked at the recorded mean, and their columns left out. A
-        joint that the recording lacks is locked at rest. --gravity replaces the recorded gravity.
+        Joints given by --lock without a position are locked at their recorded mean, and their
+        columns are left out. Joints missing in the recording are locked at rest. --gravity replaces
+        the recorded gravity.
 
         Args:
             source: The recording.
@@ -342,7 +345,7 @@ class ReadingOptions:
             Options for this recording; the recording with the robot's joints.
 
         Raises:
-            RecordingError: A joint of --lock moves by more than 0.01 rad or m.
+            RecordingError: A joint given by --lock moves by more than 0.01 rad or m.
         """
         from testbed.core.recordings.held import hold_still
         from testbed.core.recordings.views import adapt_to_robot, transform_source
@@ -362,12 +365,12 @@ class ReadingOptions:
         return reading, adapt_to_robot(reduced, reading.tree)
 
     def robot_of(self, source: Source) -> tuple[Tree, Source]:
-        """Robot for a recording, and the recording with the robot's joints."""
+        """Robot for a recording, and the recording with this robot's joints."""
         reading, source = self.for_recording(source)
         return reading.tree, source
 
     def with_welded_root(self, source: Source) -> ReadingOptions:
-        """Options with a floating root welded to the bedplate if no base pose was recorded.
+        """Options with a floating root welded to the bedplate, unless a base pose was recorded.
 
         Args:
             source: The recording.
@@ -384,14 +387,15 @@ class ReadingOptions:
         return self
 
     def with_sensors(self, source: Source, *, alone: bool = False) -> ReadingOptions:
-        """Options with the recording's force sensors, unless `sensors` has one of that name.
+        """Options with the recording's force sensors; sensors in `sensors` take precedence.
 
-        A single sensor becomes --sensor (if not given) in a recording without plate and torques.
+        If the recording has neither plate wrench nor torques, a single sensor becomes the value of
+        --sensor, unless that is given.
 
         Args:
             source: The recording.
-            alone: True to add only the sensor of --sensor, whose part then includes all links
-                beyond it.
+            alone: True to add only the sensor of --sensor, so that all links beyond it are
+                included.
         """
         sensor_places = source.metadata.sensors
         if "sensors" not in source.signals:
@@ -413,10 +417,10 @@ class ReadingOptions:
     def with_resting_joints_locked(
         self, source: Source, check_diagnostics: Sequence[Diagnostic] = ()
     ) -> tuple[ReadingOptions, Source, list[Diagnostic]]:
-        """Lock joints that a recording lacks or moves by less than `MIN_MOTION_RANGE` (1e-3).
+        """Lock joints that a recording lacks, or that move by less than `MIN_MOTION_RANGE` (1e-3).
 
-        Recorded joints stay free if an encoder may be dead ("position.still" in the check), if the
-        root floats, or for the part on a force sensor.
+        Recorded joints remain free if an encoder may have failed ("position.still" in the check),
+        if the root floats, and if only the links beyond a force sensor are identified.
 
         Args:
             source: The recording.
@@ -448,7 +452,9 @@ class ReadingOptions:
         )
 
     def plausibility_diagnostics(self, source: Source) -> tuple[Diagnostic, ...]:
-        """Diagnostics of an imported recording's plausibility check; empty without a mapping.
+        """Diagnostics of the plausibility check of an imported recording.
+
+        The result is empty for a recording without a mapping.
 
         Raises:
             RecordingError: The recording is implausible for this robot, with consequences for
@@ -468,7 +474,7 @@ class ReadingOptions:
 
     @property
     def doubt(self) -> CalibrationCovariance | None:
-        """Covariance of the calibrated plate's coefficients; None without --plate."""
+        """Covariance of the plate's calibrated coefficients; None without --plate."""
         from testbed.lab.experiment.plate_file import read_calibration
 
         return (
@@ -480,10 +486,10 @@ class ReadingOptions:
     def prior_and_options(
         self, source: Source
     ) -> tuple[PriorBodies, ConsistencyOptions]:
-        """Prior bodies by the model file, and the table [consistent] of --set.
+        """Prior bodies from the model file, and the table [consistent] of --set.
 
         Args:
-            source: The recording, whose gear matrix gives the robot's shafts.
+            source: The recording; its gear matrix defines the robot's motor shafts.
         """
         from testbed.bodies.prior import prior_of
         from testbed.core.recordings.views import with_gear_shafts

@@ -30,11 +30,11 @@ DEVELOPMENT_EXTRA = "dev"
 
 @dataclass(frozen=True)
 class InstallationCheck:
-    """Check of one package of the installation.
+    """Check of one package in the installation.
 
     Attributes:
         name: Name of the package.
-        found: Installed version, "not installed", or version and path.
+        found: Installed version, "not installed", or version with path.
         fine: True if the installed version satisfies the requirement.
         needed: True if all commands need the package.
         remedy: Command that installs the package.
@@ -48,16 +48,17 @@ class InstallationCheck:
 
     @property
     def line(self) -> str:
-        """Line with "ok", "MISSING" or "-" (optional package), name, version, and remedy."""
+        """Line with "ok", "MISSING" or "-" (optional package), name, version and remedy."""
         mark = "ok" if self.fine else ("MISSING" if self.needed else "-")
         remedy = "" if self.fine else f": {self.remedy}"
         return f"{mark:8s}{self.name:22s}{self.found}{remedy}"
 
 
 def installation_checks() -> Iterator[InstallationCheck]:
-    """Yield checks of testbed, Python, and the packages in testbed's requirements, in this order.
+    """Yield the checks of testbed, of Python, and of the packages that testbed requires.
 
-    Packages of the extra `DEVELOPMENT_EXTRA` only are left out; those of other extras are optional.
+    Packages that only the extra `DEVELOPMENT_EXTRA` requires are left out. Packages of other extras
+    are optional.
     """
     yield InstallationCheck(
         "testbed", f"{installed_version()}, in {Path(__file__).parent.parent}"
@@ -168,20 +169,20 @@ def new(
 def _write_mapping_and_recording(
     files: list[Path], mapping: Path, reading: ReadingOptions, *, force: bool
 ) -> None:
-    """Write a mapping for log files and, for a given model, the checked recording.
+    """Write a mapping for log files and, if a model is given, the checked recording.
 
-    The recording is not written if keys of the mapping are left empty. The command `testbed
-    identify` for it and diagnostics are printed.
+    The recording is not written if keys of the mapping remain empty. Diagnostics and the next
+    command, `testbed identify`, are printed.
 
     Args:
         files: Log files.
-        mapping: Mapping file to write; the recording gets its name with the suffix .parquet, or
-            NAME_recording.parquet if that is a log file.
+        mapping: Mapping file to write. The recording has the same name with the suffix .parquet, or
+            the name NAME_recording.parquet if the former is a log file.
         reading: Options of the robot's model file; without a model, only the mapping is written.
-        force: True to replace existing files.
+        force: True if existing files may be replaced.
 
     Raises:
-        RecordingError: The data contradict mapping or robot.
+        RecordingError: The data contradict the mapping or the robot.
     """
     from testbed.importing.convert import joined_recording
     from testbed.importing.import_report import ImportReport

@@ -100,13 +100,13 @@ def _print_static_tool(
     """Identify the tool beyond a force sensor from static poses, and print the estimate.
 
     Args:
-        table: File with a row per pose: joint positions and the sensor's wrench.
+        table: File with one row per pose: joint positions and the wrench of the sensor.
         reading: Options of the model file, with the sensor.
         payload_output: Output options.
-        degrees: True if angles without a unit are in degrees, False for radians.
+        degrees: True if angles without a unit are in degrees, False if they are in radians.
 
     Raises:
-        SettingsError: --as is given, and the estimate has no payload or has errors.
+        SettingsError: --as is given, but the estimate has no payload or has errors.
     """
     from testbed.applications.payload.static_fit import StaticPoses
     from testbed.applications.payload.tool import tool_from_static_poses

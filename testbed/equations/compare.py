@@ -1,7 +1,7 @@
 """Term-by-term comparison of a listing of equations with the equations derived from a robot.
 
-The notation is that of [FRS96], as written by `write_paper_notation`: sums of products of names
-and numbers, brackets, NAME = ... on one line or several. Python's parser makes a syntax tree of a
+The notation is that of [FRS96], as written by `write_paper_notation`: NAME = sum of products of
+names, numbers and brackets, on one or several lines. Python's parser makes a syntax tree of a
 right-hand side, and a few kinds of its nodes are converted; no part of it is executed.
 """
 
@@ -61,23 +61,24 @@ def compare_equations(
 
     Args:
         tree: The robot.
-        text: The listing, in the notation of [FRS96]; see `read_listing`. A left-hand side
-            that is no equation of the robot defines an intermediate for the lines below.
+        text: The listing, in the notation of [FRS96]; see `read_listing`. A left-hand side that is
+            not an equation of the robot defines an intermediate variable for the lines below.
         form: Parameters of the listing: "full" for barycentric, "reduced" or "recursive" for
             minimal parameters.
-        gravity: Gravity in the bedplate frame, (3,) [m/s^2]; default the model file's.
+        gravity: Gravity in the bedplate frame, (3,) [m/s^2]; None for the gravity of the model
+            file.
         zeros: Barycentric parameters known to be zero, as in `equations`.
-        max_terms: Largest number of terms of each of: the robot's equations, the listing,
+        max_terms: Largest number of terms, separately for the robot's equations, the listing and
             the differences.
 
     Returns:
-        Listed minus derived equation, by name; zero where they are mathematically equal.
-            Intermediates are left out.
+        Differences `listed - derived` of the equations, keyed by name; zero where both are
+        mathematically equal. Intermediate variables are left out.
 
     Raises:
         ExpressionError: The listing cannot be read, has no equation or defines a symbol of the
             robot, or there are more terms than `max_terms`.
-        UnknownName: An undefined name in the listing, or a left-hand side that is neither an
+        UnknownName: The listing contains an undefined name, or a left-hand side that is neither an
             equation of the robot nor used in another line.
     """
     kinds = _listed_kinds([name for _, name, _ in _statements(text, max_terms)])
@@ -106,7 +107,8 @@ def compare_equations(
 def _listed_kinds(names: Sequence[str]) -> list[str]:
     """Names of the equation kinds in a listing; joint forces if no name is recognised.
 
-    A kind is recognised by a left-hand side that matches its `results`; regressors are not.
+    A kind is recognised if a left-hand side matches its regular expression `results`. Regressors
+    are not recognised.
 
     Args:
         names: Left-hand sides of the listing.
@@ -121,9 +123,11 @@ def _listed_kinds(names: Sequence[str]) -> list[str]:
 
 
 def _derived_equations(listing: Listing) -> dict[str, Expression]:
-    """Derived equations and definitions by name, with references to other equations substituted.
+    """Derived equations and definitions, keyed by name.
 
-    Definitions have a second name with mm for mbar, as in [FRS96].
+    References to other equations are substituted.
+
+    Definitions are also stored under a second name, with mm for mbar as in [FRS96].
     """
     meanings: dict[Factor, Expression] = {}
     for each in listing.equations:
@@ -136,9 +140,11 @@ def _derived_equations(listing: Listing) -> dict[str, Expression]:
 
 
 def _symbols_by_name(listing: Listing, robot: SymbolicRobot) -> dict[str, Expression]:
-    """Coordinates, constants and parameters of a robot's equations, as expressions by name.
+    """Symbols of a robot's equations as expressions, keyed by name.
 
-    Names with mbar have a second name with mm, as in [FRS96].
+    The symbols are coordinates, constants and parameters.
+
+    Symbols with mbar in the name are also stored under a second name, with mm as in [FRS96].
     """
     symbols = [*map(single_factor, [*robot.q, *robot.qd, *robot.qdd]), *robot.values]
     for each in listing.equations:
@@ -156,19 +162,19 @@ def _symbols_by_name(listing: Listing, robot: SymbolicRobot) -> dict[str, Expres
 def read_listing(
     text: str, names: Mapping[str, Expression], max_terms: int = MAX_TERMS
 ) -> dict[str, Expression]:
-    """Parse the equations of a listing, in order, by left-hand side.
+    """Parse the equations of a listing into expressions keyed by left-hand side.
 
-    An equation may refer to the equations above it.
+    The equations keep their order, and each may refer to the equations above it.
 
     Args:
         text: NAME = expression; lines that begin with a blank or a sign continue the previous
             line, lines that begin with *, # or [ are comments.
         names: Expressions of the predefined names; a listing may repeat but not change them.
-        max_terms: Largest number of terms, including the terms of substituted names.
+        max_terms: Largest number of terms, including those of substituted names.
 
     Raises:
         ExpressionError: The listing cannot be read, or has more terms than `max_terms`.
-        UnknownName: An undefined name in the listing.
+        UnknownName: The listing contains an undefined name.
     """
     known = dict(names)
     equations_by_name: dict[str, Expression] = {}
@@ -218,12 +224,12 @@ def _statements(text: str, max_terms: int) -> Iterator[tuple[int, str, str]]:
 def _right_hand_side(
     text: str, names: Mapping[str, Expression], budget: Budget
 ) -> Expression:
-    """Expression of the right-hand side of an equation; ^ and ** are powers.
+    """Expression of the right-hand side of an equation; ^ and ** denote powers.
 
     Summands are parsed as the items of a tuple, so that a long sum is not nested deeply.
 
     Raises:
-        ExpressionError: The text is no expression, divides by zero or is nested too deeply.
+        ExpressionError: The text is not an expression, divides by zero or is nested too deeply.
     """
     summands = _SUMMAND_END.sub(r"\1,", text.replace("^", "**")).strip()
     try:
@@ -248,8 +254,8 @@ def _node_expression(
     """Expression of a node of a syntax tree; a tuple is a sum.
 
     Raises:
-        ExpressionError: Not a sum, product, quotient by a number, or power with an exponent from 1
-            to `MAX_EXPONENT` (20).
+        ExpressionError: The node is not a sum, product, quotient by a number, or power with an
+            exponent from 1 to `MAX_EXPONENT` (20).
         UnknownName: A name is neither in `names` nor a sine or cosine.
     """
     match node:
@@ -298,12 +304,12 @@ def _node_number(node: ast.AST) -> Number:
 
 
 def _sine_or_cosine(name: str, names: Mapping[str, Expression]) -> Expression:
-    """Sine or cosine of an abbreviated name: S223 is sin(2 q2 + q3).
+    """Sine or cosine with an abbreviated name, such as S223 for sin(2 q2 + q3).
 
-    With underlines between joints, and m for minus: C_12_m3 is cos(q12 - q3).
+    Underscores separate joint numbers, and m denotes subtraction: C_12_m3 is cos(q12 - q3).
 
     Raises:
-        UnknownName: The name is no such abbreviation, or refers to a missing joint.
+        UnknownName: The name is not an abbreviation of this form, or refers to a missing joint.
     """
     if not _SINE_OR_COSINE_NAME.fullmatch(name):
         raise UnknownName("name", name, names)

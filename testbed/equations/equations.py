@@ -67,12 +67,13 @@ IndexedEquations: TypeAlias = Iterator[tuple[Factor, tuple[tuple[int, ...], Any]
 def named_components(
     budget: Budget, suffix: str, name: str, value: AnyArray
 ) -> AnyArray:
-    """Replace components that need operations to compute by auxiliary variables.
+    """Replace components that require operations with auxiliary variables.
 
     Args:
         budget: Counter of terms.
         suffix: Suffix of the variables' names.
-        name: Stem of the names: w3 gives w3x; W3, a matrix, W3xy; F3, with p columns, F3x_7.
+        name: Stem of the names: w3 gives w3x; the matrix W3 gives W3xy; F3 with p columns gives
+            F3x_7.
         value: Components, (3,), (3, 3) or (3, p).
     """
     variables = np.empty(value.shape, dtype=object)
@@ -92,8 +93,8 @@ def named_components(
 def auxiliary_variable(name: str, value: Any) -> Any:
     """Auxiliary variable for an expression; simple values are returned unchanged.
 
-    Simple are numbers, single factors and products of parameters and constants: without a name
-    of their own these products can cancel.
+    Simple values are numbers, single factors, and products of parameters and constants, which can
+    cancel if they are not given names.
     """
     if not isinstance(value, Expression) or not value:
         return value
@@ -126,7 +127,7 @@ class Recursion:
     def run(
         self, qd: AnyArray, qdd: AnyArray, suffix: str = ""
     ) -> tuple[AnyArray, AnyArray]:
-        """Joint forces, (n, p), and wrench of the bedplate on the robot, (6, p), of a motion.
+        """Joint forces, (n, p), and wrench of the bedplate on the robot, (6, p), for a motion.
 
         The wrench is about the bedplate's origin, force first.
 
@@ -143,10 +144,10 @@ class Recursion:
 
 
 def _mass_matrix(recursion: Recursion) -> IndexedEquations:
-    """Entries of the mass matrix, column by column.
+    """Yield the entries of the mass matrix, column by column.
 
-    Column j holds the joint forces of a unit acceleration of joint j without velocity and
-    gravity; entries below the diagonal refer to those above.
+    Column j contains the joint forces for a unit acceleration of joint j, without velocity and
+    gravity. Entries below the diagonal refer to the entries above the diagonal.
     """
     n = recursion.robot.n
     zero_velocity = np.zeros(n, dtype=object)
@@ -167,7 +168,7 @@ def _mass_matrix(recursion: Recursion) -> IndexedEquations:
 
 
 def _result_symbol(name: str) -> Factor:
-    """Symbol of a result by its name."""
+    """Symbol of a result with a given name."""
     return Factor.interned(FactorKind.AUXILIARY, name)
 
 
@@ -179,11 +180,11 @@ class EquationKind:
         name: Name of the kind, as in `equations(tree, what=...)`.
         title: Heading in a listing.
         model: Signal whose minimal parameters are used, "torque" or "wrench".
-        takes: Joint coordinates of the equations, of q, qp, qpp.
+        takes: Arguments of the equations, a selection of q, qp and qpp.
         results: Regular expression of the names of the results.
         description: Description with units, for comments.
         letter: First letter of the results' names: Q, G, or M for the mass matrix.
-        is_regressor: True if the result has a column per parameter and contains no parameter.
+        is_regressor: True if the result has one column per parameter and contains no parameters.
     """
 
     name: str
@@ -196,7 +197,7 @@ class EquationKind:
     is_regressor: bool = False
 
     def content(self, recursion: Recursion) -> IndexedEquations:
-        """Name, indices and value of each equation of this kind."""
+        """Yield name, indices and value of each equation of this kind."""
         if self.letter == "M":
             yield from _mass_matrix(recursion)
             return
@@ -291,7 +292,7 @@ class Equations:
     Attributes:
         kind: Kind of the equations.
         shape: Shape of the result for one sample.
-        result_indices: Indices in the result, by name of the program's results.
+        result_indices: Indices in the result array, keyed by name of the program's results.
         parameter_vector_name: Name of the vector of parameters: theta, delta_d or delta_r.
         parameters: Entries of the vector of parameters.
         program: Assignments that compute the result.
@@ -314,7 +315,7 @@ class Listing(Summarized):
         form: "full", "reduced" or "recursive".
         gravity: Gravity in the bedplate frame, (3,) [m/s^2].
         constants: Values of the symbols of lengths [m] and of gravity [m/s^2].
-        minimal: Minimal sets of the parameters in use, by signal; empty for the full form.
+        minimal: Minimal sets of the parameters in use, keyed by signal; empty for the full form.
         known_zero: Mask of the barycentric parameters that are known to be zero, (n, 10).
         definitions: Names and definitions of the barycentric parameters, in the full form.
         equations: Equations of each requested kind.
@@ -358,14 +359,15 @@ def equations(
         what: Kinds of equations, keys of `KINDS`.
         form: "full" in all barycentric parameters; "reduced" in the minimal parameters;
             "recursive" in the minimal parameters with auxiliary variables.
-        gravity: Gravity in the bedplate frame, (3,) [m/s^2]; default the model file's.
+        gravity: Gravity in the bedplate frame, (3,) [m/s^2]; None for the gravity of the model
+            file.
         zeros: Barycentric parameters known to be zero: True for all that are zero in the
             model file, or a list of names.
         max_terms: Largest number of terms, including terms of intermediate expressions.
 
     Raises:
-        UnknownName: There is no such kind or form.
-        ExpressionError: More terms than `max_terms`, or numbers too large to calculate with.
+        UnknownName: The kind or form does not exist.
+        ExpressionError: There are more terms than `max_terms`, or numbers that are too large.
     """
     what = [what] if isinstance(what, str) else what
     for name in what:
@@ -398,7 +400,7 @@ class _Builder:
         listing: Listing without equations: the robot, the form and the parameter sets.
         robot: Symbolic robot.
         budget: Counter of terms.
-        expand: Expansion of an expression into simplified terms, by `make_expander`.
+        expand: Function that expands an expression into simplified terms (`make_expander`).
     """
 
     listing: Listing
@@ -432,10 +434,10 @@ class _Builder:
     def _parameter_vector(
         self, kind: EquationKind
     ) -> tuple[str, tuple[Parameter, ...], AnyArray]:
-        """Parameter vector of a kind: name, entries, and the barycentric parameters it gives.
+        """Name and entries of a kind's parameter vector, and the barycentric parameters.
 
-        The barycentric parameters are (n, 10, 1) in symbols; for a regressor (n, 10, p), a
-        column per entry of the vector.
+        The barycentric parameters are symbols, (n, 10, 1), or for a regressor numbers, (n, 10, p),
+        with one column for each of the p entries of the vector.
         """
         minimal = self.listing.minimal.get(kind.model)
         if minimal is not None:
@@ -452,9 +454,9 @@ class _Builder:
     def _with_references(
         self, results: dict[Factor, Expression]
     ) -> dict[Factor, Expression]:
-        """Express joint forces by child joints' forces where that is shorter: Q2 = Q3 + ...
+        """Express joint forces in terms of child joints' forces if that is shorter: Q2 = Q3 + ...
 
-        The joints of the last bodies come first.
+        The joints of the last bodies are processed first.
         """
         shortened = {}
         names = list(results)
@@ -472,7 +474,7 @@ def make_expander(robot: SymbolicRobot, budget: Budget) -> Callable[[Any], Expre
     """Function that expands and simplifies expressions of a robot.
 
     Args:
-        robot: Symbolic robot; its groups of parallel joints give the sums of angles.
+        robot: Symbolic robot; its groups of parallel joints define the sums of angles.
         budget: Counter of terms.
     """
     ring = PolynomialRing(

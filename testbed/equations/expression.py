@@ -30,7 +30,7 @@ MAX_COEFFICIENT = 1e150
 MAX_NAME_SIZE = 200
 """Largest length of a bracket's name; a longer name is cut and completed by its hash."""
 MAX_TERMS = 150_000
-"""Default limit for the number of terms; so many take about ten seconds to write."""
+"""Default limit for the number of terms; 150 000 terms take about ten seconds to write."""
 PRODUCT_WEIGHT = 0.1
 """Weight of a product of two terms in the count of terms: most products are collected."""
 SortKey: TypeAlias = tuple[int, int, str]
@@ -56,11 +56,11 @@ class Factor:
 
     Attributes:
         kind: Kind of the factor.
-        name: Printed name; for a bracket its content.
+        name: Printed name; for a bracket, the text of the content.
         content: Angle of a cosine or sine, definition of an auxiliary variable, or sum in a
             bracket; None for other factors.
-        rank: Rank among factors of the same nature; joint index of a coordinate.
-        key: Sorting key: nature, rank, name.
+        rank: Rank among factors of the same kind; joint index of a coordinate.
+        key: Sorting key: kind, rank, name.
     """
 
     kind: FactorKind
@@ -104,7 +104,7 @@ class Expression:
     """Immutable sum of terms in normal order.
 
     Supports +, - and * with expressions and numbers. `==` compares the written form; two
-    expressions are mathematically equal if their expanded difference has no parts.
+    expressions are mathematically equal if their difference expands to zero.
 
     Attributes:
         terms: Pairs of factors and coefficient, sorted as by `collect`, without zeros.
@@ -178,7 +178,7 @@ def symbol(nature: FactorKind, name: str, rank: int = 0) -> Expression:
     Args:
         nature: Kind of the symbol.
         name: Printed name.
-        rank: Rank among symbols of this nature; symbols of equal rank are sorted by name.
+        rank: Rank among symbols of the same kind; symbols of equal rank are sorted by name.
     """
     return factor_expression(Factor.interned(nature, name, None, rank))
 
@@ -189,7 +189,7 @@ def factor_expression(factor: Factor) -> Expression:
 
 
 def single_factor(symbol: Expression) -> Factor:
-    """Single factor of an expression with one factor; inverse of `factor_expression`."""
+    """Factor of an expression that consists of one factor; inverse of `factor_expression`."""
     ((factors, _),) = symbol.terms
     return factors[0]
 
@@ -205,7 +205,7 @@ def expression(value: Any) -> Expression:
 
 
 def sine(angle: Expression) -> Expression:
-    """Sine of a sum of multiples of coordinates; a leading minus is moved out."""
+    """Sine of a sum of multiples of coordinates; a leading minus sign is moved out."""
     if angle.terms[0][1] < 0:
         return -sine(-angle)
     return factor_expression(
@@ -214,7 +214,7 @@ def sine(angle: Expression) -> Expression:
 
 
 def cosine(angle: Expression) -> Expression:
-    """Cosine of a sum of multiples of coordinates; a leading minus is removed."""
+    """Cosine of a sum of multiples of coordinates; a leading minus sign is removed."""
     if angle.terms[0][1] < 0:
         angle = -angle
     return factor_expression(
@@ -225,7 +225,8 @@ def cosine(angle: Expression) -> Expression:
 def _trigonometric_name(letter: str, angle: Expression) -> str:
     """Name of a sine or cosine, such as S223 for sin(2*q2 + q3).
 
-    Underlines separate labels with a minus or several digits: S_2_m3 for q2 - q3, S_12 for q12.
+    Underscores separate labels with a minus sign or several digits: S_2_m3 for sin(q2 - q3), S_12
+    for sin(q12).
 
     Args:
         letter: S for a sine, C for a cosine.
@@ -266,11 +267,11 @@ def collect(terms: Iterable[Term]) -> Expression:
 def substitute(
     value: Expression, replacement: Callable[[Factor], Expression | None]
 ) -> Expression:
-    """Replace factors of an expression by other expressions.
+    """Replace factors of an expression with other expressions.
 
     Args:
         value: The expression.
-        replacement: Replacement of a factor; None keeps the factor.
+        replacement: Function that returns the replacement of a factor, or None to keep the factor.
     """
     terms: list[Term] = []
     for factors, coefficient in value.terms:
@@ -382,7 +383,7 @@ def depth_first_order(
 
     Args:
         roots: Factors to start from.
-        dependencies: Factors to which a factor refers.
+        dependencies: Function that returns the factors to which a factor refers.
     """
     order: list[Factor] = []
     visited: set[Factor] = set()
@@ -407,15 +408,15 @@ class Budget:
 
     Attributes:
         terms: Largest number of terms.
-        spent: Number of terms so far; products of terms count as `PRODUCT_WEIGHT`.
+        spent: Number of terms so far; a product of two terms counts as `PRODUCT_WEIGHT` (0.1).
     """
 
     def __init__(self, terms: int = MAX_TERMS, advice: str = "") -> None:
-        """Counter at zero.
+        """Create a counter at zero.
 
         Args:
             terms: Largest number of terms.
-            advice: Beginning of the error's advice, such as a shorter form.
+            advice: Beginning of the advice in the error message, such as a shorter form.
         """
         self.terms = terms
         self.spent = 0.0

@@ -101,8 +101,8 @@ class Polynomial:
     """Sum of monomials times products of sines and cosines.
 
     Attributes:
-        parts: Coefficient by trigonometric product and monomial; a monomial is an integer with six
-            bits per exponent.
+        parts: Coefficients keyed by trigonometric product, then by monomial; a monomial is an
+            integer with six bits per exponent.
         degree: Upper bound of the degree of the monomials.
     """
 
@@ -119,7 +119,7 @@ class PolynomialRing:
     """Expansion of expressions into polynomials, with a table of symbols and caches.
 
     Attributes:
-        symbols: Symbols by their index in a monomial.
+        symbols: Symbols, ordered by index in a monomial.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class PolynomialRing:
         rounding: float = 0.0,
         budget: Budget | None = None,
     ) -> None:
-        """Ring without symbols but the grouped angles.
+        """Create a ring whose only symbols are the grouped angles.
 
         Args:
             groups: Groups of angles (coordinates, constants) that are added to each other.
@@ -207,16 +207,18 @@ class PolynomialRing:
         return powers
 
     def angle(self, number: int) -> Factor:
-        """Symbol of an angle, by the angle's number in a sine or cosine."""
+        """Symbol of an angle with a given number in a sine or cosine."""
         return self.exponents(number)[0][0]
 
     def _checked_polynomial(
         self, parts: dict[TrigProduct, dict[int, Number]], degree: int
     ) -> Polynomial:
-        """Polynomial without coefficients up to `rounding`, after a check of degree and magnitude.
+        """Polynomial without negligible coefficients, after a check of degree and magnitude.
+
+        Coefficients up to `rounding` in magnitude are negligible.
 
         Raises:
-            ExpressionError: The degree exceeds 63, or a coefficient 1e150 in magnitude.
+            ExpressionError: The degree exceeds 63, or the magnitude of a coefficient exceeds 1e150.
         """
         if degree > MAX_DEGREE:
             raise ExpressionError(
@@ -290,9 +292,9 @@ class PolynomialRing:
         return products
 
     def _angles(self, content: Expression) -> dict[int, AngleSum]:
-        """Angle numbers and multiples of a sum of angles, by group of angles.
+        """Angle numbers and multiples of a sum of angles, keyed by group of angles.
 
-        An angle outside of the groups is a group of its own, with a negative number.
+        An angle outside of the groups forms a separate group with a negative number.
         """
         parts: dict[int, list[tuple[int, Number]]] = {}
         for trig_product, part in self.expand(content).parts.items():
@@ -304,7 +306,10 @@ class PolynomialRing:
         return {group: tuple(sorted(angle)) for group, angle in parts.items()}
 
     def _angle_number(self, trig_product: TrigProduct, monomial: int) -> int:
-        """Number of an angle: its monomial, or a new symbol for a trigonometric term."""
+        """Number of an angle: the monomial of the angle or of a new symbol.
+
+        A new symbol represents a term with sines or cosines.
+        """
         if not trig_product:
             return monomial
         return self._monomial(

@@ -1,7 +1,7 @@
 """Ordered programs of assignments that compute expressions with few operations.
 
-Quantities of parameters and constants alone come first, once for all samples; then sines and
-cosines; then auxiliary variables; then the results.
+Expressions in parameters and constants alone come first and are computed once for all samples;
+sines and cosines, auxiliary variables and results follow.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def recursive_program(results: Mapping[Factor, Expression]) -> Program:
     """Program with auxiliary variables, optimised for few operations.
 
     Args:
-        results: Expressions of the results, by name.
+        results: Expressions of the results, keyed by name.
     """
     assignments = Assignments(results)
     assignments.optimise()
@@ -114,10 +114,11 @@ def recursive_program(results: Mapping[Factor, Expression]) -> Program:
 
 
 def literal_program(results: Mapping[Factor, Expression]) -> Program:
-    """Program of fully written expressions, without auxiliary variables.
+    """Program of fully expanded expressions, without auxiliary variables.
 
     Args:
-        results: Expanded expressions of the results, by name; may refer to other results.
+        results: Expanded expressions of the results, keyed by name; they may refer to other
+            results.
     """
     return _sorted_program(Assignments(results))
 
@@ -163,7 +164,7 @@ def _sorted_program(assignments: Assignments) -> Program:
 
 
 def _with_rounded_coefficients(value: Expression) -> Expression:
-    """Expression with coefficients near multiples of 1/64 rounded to these."""
+    """Expression with coefficients near multiples of 1/64 rounded to these multiples."""
 
     def round_coefficient(coefficient: Number) -> Number:
         rounded = round(coefficient * 64) / 64
@@ -182,7 +183,7 @@ def _with_rounded_coefficients(value: Expression) -> Expression:
 
 
 def leaf_factors(value: Expression) -> Iterator[Factor]:
-    """Factors of an expression; a bracket is replaced by its factors."""
+    """Factors of an expression, including the factors inside brackets."""
     for factors, _ in value.terms:
         for factor in factors:
             if factor.bracket_content:
@@ -207,15 +208,15 @@ class Assignments:
     """Assignments of auxiliary variables, brackets and results, with optimisations.
 
     Attributes:
-        lines: Expressions by name of auxiliary variable, bracket or result.
+        lines: Expressions, keyed by name of auxiliary variable, bracket or result.
         results: Names of the results, in order.
     """
 
     def __init__(self, results: Mapping[Factor, Expression]) -> None:
-        """Assignments of results, and of the auxiliary variables and brackets in these.
+        """Create assignments for results and the auxiliary variables and brackets in the results.
 
         Args:
-            results: Expressions of the results, by name.
+            results: Expressions of the results, keyed by name.
         """
         self.lines = {
             each: each.content or ZERO for each in sorted_dependencies(results.values())
@@ -226,7 +227,7 @@ class Assignments:
         self._new_lines = 0
 
     def optimise(self) -> None:
-        """Merge equal lines, constants and common products, factor out, and merge again.
+        """Merge equal lines and constants, share common products, factor out, and merge again.
 
         Further rounds bring no reduction in practice.
         """
@@ -266,7 +267,7 @@ class Assignments:
         ]
 
     def add_line(self, value: Expression) -> Factor:
-        """Add a line for an expression; returns its name."""
+        """Add a line for an expression and return the name of the line."""
         self._new_lines += 1
         name = Factor.interned(FactorKind.AUXILIARY, f"_{self._new_lines}")
         self.lines[name] = value
@@ -296,7 +297,7 @@ class Assignments:
         }
 
     def _redundant_lines(self) -> dict[Factor, Expression]:
-        """Replacements of lines that need no operation or equal another line up to sign."""
+        """Replacements of lines that need no operation or equal another line up to the sign."""
         first_names: dict[Expression, tuple[Factor, int]] = {}
         replacements: dict[Factor, Expression] = {}
         for name, value in self.lines.items():
@@ -312,7 +313,7 @@ class Assignments:
         return replacements
 
     def merge_constants(self) -> None:
-        """Replace products of constant factors, or of a factor and a number, by new lines."""
+        """Replace products of constant factors, or of a factor and a number, with new lines."""
         constant_lines: dict[Expression, Factor] = {}
         for name in self.variable_lines():
             terms = []
@@ -336,7 +337,7 @@ class Assignments:
         self.merge_lines()
 
     def share_common_products(self) -> None:
-        """Replace products of two factors in several terms by new lines, most frequent first."""
+        """Replace products of two factors in several terms with new lines, most frequent first."""
         while True:
             occurrences: dict[
                 tuple[Factor, Factor], dict[tuple[Factor, Factors], None]
@@ -355,7 +356,7 @@ class Assignments:
     def _share_product(
         self, pair: tuple[Factor, Factor], places: Iterable[tuple[Factor, Factors]]
     ) -> None:
-        """Replace a product by a new line, if it still occurs in several terms.
+        """Replace a product with a new line, if it still occurs in several terms.
 
         Args:
             pair: The two factors of the product.
@@ -405,7 +406,7 @@ class Assignments:
         self.merge_lines()
 
     def _best_factor(self, value: Expression) -> Factor | None:
-        """Common factor of terms that saves most operations; None if no factor occurs twice."""
+        """Common factor that saves the most operations; None if no factor occurs twice."""
         counts = Counter(
             factor for factors, _ in value.terms for factor in dict.fromkeys(factors)
         )

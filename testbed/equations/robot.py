@@ -1,8 +1,9 @@
 """Symbolic robot: geometry, joint coordinates and parameters as symbols.
 
 Lengths that are not zero are symbols. Constant rotations and axes are numbers: integers if they
-consist of quarter turns, as on most robots. Quarter turns with few digits in a model file
-(1.5708 for half of pi) would give many terms of a millionth; `with_right_angles` rounds them.
+consist of quarter turns, as on most robots. Quarter turns with few digits in a model file (1.5708
+for pi / 2) would give many terms with coefficients of about a millionth; `with_right_angles` rounds
+these rotations.
 
 Names     q2 qp2 qpp2; l23z offset; g; m2 mass; l22y centre of mass in the body's frame; J2yz
           central inertia; parameters in docs/conventions.md
@@ -50,7 +51,7 @@ ZERO_TOLERANCE = 1e-12
 
 
 def with_right_angles(tree: Tree) -> Tree:
-    """Tree with almost right angles between its joint frames rounded to right angles.
+    """Tree in which almost right angles between joint frames are rounded to right angles.
 
     A joint's rotation or axis is rounded if all its entries are within 1e-4 of whole numbers.
     """
@@ -66,7 +67,10 @@ def with_right_angles(tree: Tree) -> Tree:
 
 
 def near_right_angles(tree: Tree) -> dict[str, float]:
-    """Deviations from right angles [rad] by joint, for joints that `with_right_angles` changes."""
+    """Deviations from right angles [rad], keyed by joint.
+
+    Only joints that `with_right_angles` changes are included.
+    """
     changes = {
         joint.name: max(
             _largest_rounding(joint.rotation), _largest_rounding(joint.axis)
@@ -79,7 +83,7 @@ def near_right_angles(tree: Tree) -> dict[str, float]:
 
 
 def _largest_rounding(values: Array) -> float:
-    """Largest change of an entry by `_rounded_turns`."""
+    """Largest change of an entry that `_rounded_turns` makes."""
     return float(np.abs(_rounded_turns(values) - values).max())
 
 
@@ -100,9 +104,11 @@ class SymbolicJoint:
     Attributes:
         parent: Index of the carrying body; -1 for the bedplate.
         revolute: True for a revolute, False for a prismatic joint.
-        axis: Unit vector of the joint axis in the moved body's frame, (3,), numbers.
-        offset: Offset from the carrying body's origin, in its frame, (3,), symbols or zero.
-        rotation: Rotation from the moved body's frame at q = 0 to the carrying body's, (3, 3).
+        axis: Unit vector of the joint axis in the moved body's frame, as numbers, (3,).
+        offset: Offset from the carrying body's origin, in the carrying body's frame, as symbols or
+            zero, (3,).
+        rotation: Rotation matrix from the moved body's frame at q = 0 to the carrying body's frame,
+            (3, 3).
     """
 
     parent: int
@@ -124,10 +130,10 @@ class SymbolicRobot:
         qdd: Joint accelerations, (n,).
         gravity: Gravity in the bedplate frame, (3,).
         values: Values of the constants' symbols [m, m/s^2].
-        parallel_groups: Groups of joints with parallel axes: the joints' coordinates, and the
-            angles between pairs of their bodies.
-        parallel_children: For each revolute joint, its child revolute joints with parallel axes:
-            joint index, and 1 or -1 for the same or opposite sense.
+        parallel_groups: Groups of joints with parallel axes: the coordinates of the joints, and the
+            angles between pairs of the joints' bodies.
+        parallel_children: For each revolute joint, the revolute child joints with a parallel axis:
+            joint index, and 1 or -1 for the same or opposite direction.
     """
 
     n: int
@@ -252,10 +258,10 @@ class Parameter:
     """Entry of the parameter vector of equations.
 
     Attributes:
-        label: Name in parts: a multiple of a sum, such as 2*K3d.
+        label: Name as a multiple of a sum of symbols, such as 2*K3d.
         unit: "kg", "kg m" or "kg m^2".
-        symbol: Symbol in the equations, of the parameter without its multiple; None for a
-            parameter that is known to be zero.
+        symbol: Symbol of the parameter without its multiple; None for a parameter that is known to
+            be zero.
     """
 
     label: Label
@@ -264,12 +270,12 @@ class Parameter:
 
     @property
     def name(self) -> str:
-        """Name in the minimal set, or of the barycentric parameter."""
+        """Name of the minimal or barycentric parameter."""
         return self.label.text
 
     @property
     def multiple(self) -> int:
-        """Multiple of the symbol: 2 for 2*K3d."""
+        """Multiple of the symbol, such as 2 for 2*K3d."""
         return self.label.multiple
 
 
@@ -282,8 +288,8 @@ def parameters(
         labels: Names of the parameters, (N,).
         units: Units of the parameters, (N,).
         bodies: Body index of each parameter.
-        lift: Matrix that gives the barycentric parameters, (10 n, N); a parameter with a zero
-            column gets no symbol.
+        lift: Matrix from the N parameters to the barycentric parameters, (10 n, N); a parameter
+            with a zero column gets no symbol.
     """
     names = unique_identifiers([label.without_multiple.text for label in labels])
     symbols = (
@@ -296,14 +302,14 @@ def parameters(
 def barycentric(
     parameters: Sequence[Parameter], lift: Array, *, by_column: bool
 ) -> AnyArray:
-    """Barycentric parameters in symbols, (n, 10, 1), or by parameter, (n, 10, N).
+    """Barycentric parameters as symbols, (n, 10, 1), or as columns, (n, 10, N).
 
-    mbar, mb x y z, K xx xy xz yy yz zz of each body, in its frame.
+    For each body, they are mbar, mb x y z and K xx xy xz yy yz zz in the body frame.
 
     Args:
         parameters: Entries of the parameter vector.
-        lift: Matrix that gives the barycentric parameters, (10 n, N).
-        by_column: True for the columns of the matrix, for a regressor; False for symbols.
+        lift: Matrix from the N parameters to the barycentric parameters, (10 n, N).
+        by_column: True for one column per parameter, as for a regressor; False for symbols.
     """
     theta = lift.astype(object)
     if not by_column:
@@ -316,7 +322,7 @@ def barycentric(
 
 
 def unique_identifiers(names: Sequence[str]) -> list[str]:
-    """Unique identifiers of parameter names, in order; duplicates get underlines appended."""
+    """Unique identifiers of parameter names, in order; underscores are appended to duplicates."""
     identifiers: dict[str, None] = {}
     for name in names:
         candidate = identifier(name)
@@ -335,7 +341,7 @@ def identifier(name: str) -> str:
 def parameter_symbol(name: str, body: int) -> Expression:
     """Symbol of a parameter, ranked by kind and body.
 
-    In terms, second moments come first, then first moments, then masses.
+    Within a term, second moments come first, then first moments, then masses.
 
     Args:
         name: Name in the equations.
@@ -386,9 +392,10 @@ def barycentric_definitions(
 
 
 def _standard_parameters(tree: Tree, j: int, by_file: bool) -> AnyArray:
-    """Standard parameters of a body, (10,), by symbols of mass, centre and central inertia.
+    """Standard parameters of a body in symbols, (10,).
 
-    m mx my mz Ixx Ixy Ixz Iyy Iyz Izz about and along the body frame.
+    They are m mx my mz Ixx Ixy Ixz Iyy Iyz Izz in the body frame, as functions of mass, centre of
+    mass and central inertia.
 
     Args:
         tree: The robot.

@@ -1,8 +1,9 @@
 """Short form of a polynomial by product formulas of trigonometry, as in [FRS96].
 
-For example S2*S23 for (C3 - C223)/2. The normal form of `polynomial` has one cosine or sine per
-group of parallel joints. Two such terms with coefficients of equal magnitude become one product
-if both of its angles are angles between bodies; half a sine of a double angle becomes a product.
+For example, the short form of (C3 - C223)/2 is S2*S23. The normal form of `polynomial` has one
+cosine or sine per group of parallel joints. Two such terms with coefficients of equal magnitude
+become one product if both of its angles are angles between bodies; half the sine of a double angle
+becomes a product of sine and cosine.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def simplify(
     Args:
         ring: Ring of the polynomial.
         polynomial: The polynomial.
-        allowed_angles: Angles that are allowed in products, by the ring's angle numbers.
+        allowed_angles: Angles that are allowed in products, in the ring's angle numbers.
     """
     terms: Terms = {}
     for trig_product, part in polynomial.parts.items():
@@ -59,9 +60,9 @@ def simplify(
 def body_angles(
     ring: PolynomialRing, angles: Iterable[Expression]
 ) -> frozenset[AngleSum]:
-    """Sums of angles as pairs of a ring's angle number and multiple, sorted by number.
+    """Angle sums in the numbering of a ring: sorted pairs of angle number and multiple.
 
-    The first multiple is made positive.
+    The sign of each sum is chosen so that the first multiple is positive.
 
     Args:
         ring: Ring that numbers the angles.
@@ -81,10 +82,10 @@ def body_angles(
 
 
 def _with_products(terms: Terms, group: int, natural: frozenset[AngleSum]) -> Terms:
-    """Terms with pairs of sines or cosines of one group replaced by products.
+    """Terms with pairs of sines or cosines of one group replaced with products.
 
     Args:
-        terms: Coefficients by monomial and product of sines and cosines.
+        terms: Coefficients, keyed by monomial and product of sines and cosines.
         group: Number of the group of angles.
         natural: Angles that are allowed in products.
     """
@@ -104,7 +105,7 @@ def _with_products(terms: Terms, group: int, natural: frozenset[AngleSum]) -> Te
 def _paired_terms(
     coefficients: dict[GroupProduct, Number], natural: frozenset[AngleSum]
 ) -> dict[GroupProduct, Number]:
-    """Replace sums of two sines or cosines by products where the angles allow it.
+    """Replace sums of two sines or cosines with products where the angles allow it.
 
     Args:
         coefficients: Coefficients of the sines and cosines of one group, for one monomial.
@@ -142,7 +143,8 @@ def _sum_as_product(
 ) -> tuple[GroupProduct, Number] | None:
     """Product equal to a sum of two sines or of two cosines, and its coefficient.
 
-    None if one is a sine and one a cosine, or an angle of the product is not allowed.
+    The result is None if the sum is of a sine and a cosine, or if an angle of the product is not
+    allowed.
 
     Args:
         first: First sine or cosine.
@@ -183,7 +185,7 @@ def _sum_as_product(
 def _double_angle_product(
     product: GroupProduct, number: Number, natural: frozenset[AngleSum]
 ) -> tuple[GroupProduct, Number]:
-    """Sine of a double angle with half-integer coefficient as sine times cosine.
+    """Product of sine and cosine for the sine of a double angle with half-integer coefficient.
 
     Other products, and angles whose half is not allowed, are returned unchanged.
     """
@@ -195,12 +197,15 @@ def _double_angle_product(
 
 
 def _single_factor(product: GroupProduct) -> TrigFactor:
-    """Kind and angle of a single sine or cosine; 1 is the cosine of zero."""
+    """Kind and angle of a single sine or cosine.
+
+    An empty product is the cosine of zero.
+    """
     return product[0] if product else (COSINE, ())
 
 
 def _half_angle(index: AngleSum) -> AngleSum | None:
-    """Half an angle; None if a multiple is odd."""
+    """Half of an angle; None if a multiple is odd."""
     if any(times % 2 for _, times in index):
         return None
     return tuple((atom, int(times) // 2) for atom, times in index)

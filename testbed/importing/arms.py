@@ -1,4 +1,4 @@
-"""Sets of a robot's joints to which the columns of a log may belong."""
+"""Subsets of a robot's joints to which the columns of a log may belong."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ GRIPPER_PATTERN = r"finger|grip|hand|knuckle|thumb|jaw|claw|robotiq"
 def joint_sets(
     tree: Tree, names: Sequence[str], followed: Collection[str]
 ) -> Iterator[list[str]]:
-    """Yield joint names without the gripper's, then only the joints before the first branching.
+    """Yield joint names without the gripper's joints, then only names before the first branching.
 
     Joints of a gripper are its fingers, and joints with a word of `GRIPPER_PATTERN` in the name.
 
     Args:
         tree: Robot.
         names: Joint names without the joints of a free base.
-        followed: Names of joints that other joints follow, as the fingers of a gripper do.
+        followed: Names of joints that other joints follow, for example in a gripper's fingers.
     """
     tool = {tree.names[j] for j in finger_joints(tree, followed)}
     arm = [

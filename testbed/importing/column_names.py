@@ -1,4 +1,4 @@
-"""Quantity, unit and joint of foreign columns by their names, and groups of such columns."""
+"""Quantity, unit and joint of foreign columns, read from their names; groups of such columns."""
 
 from __future__ import annotations
 
@@ -67,11 +67,11 @@ class ColumnName:
     Attributes:
         name: Name as in the file.
         name_without_unit: Name without the unit.
-        words: Lower-case words and numbers of the bare name.
-        unit: Unit in the package's notation; None if the name has none.
-        kind: Signal; None if the name states none.
+        words: Lower-case words and numbers of the name without the unit.
+        unit: Unit in the package's notation; None if the name has no unit.
+        kind: Signal; None if the name states no signal.
         wrench_component: Component of a wrench: 0 for force or 1 for moment, and the axis (0 to 2);
-            None if the name states none.
+            None if the name states no component.
     """
 
     name: str
@@ -106,12 +106,12 @@ def parse_column_name(name: str, stated_unit: str | None = None) -> ColumnName:
 
 
 def lower_case_words(text: str) -> tuple[str, ...]:
-    """Lower-case words and numbers of a text: actual, pos, j, 1 of ActualPosJ1."""
+    """Lower-case words and numbers of a text, for example actual, pos, j, 1 for ActualPosJ1."""
     return tuple(word.lower() for word in re.findall(WORD_PATTERN, text))
 
 
 def is_signal_word(word: str) -> bool:
-    """Test whether a word names a measured quantity, and not a joint."""
+    """Test whether a word names a measured quantity rather than a joint."""
     lower = word.lower()
     if lower in JOINT_WORDS:
         return False
@@ -123,7 +123,8 @@ def is_signal_word(word: str) -> bool:
 def split_unit(name: str) -> tuple[str, str | None]:
     """Split a column name into the name without the unit, and the unit.
 
-    Units are recognised as in Fx (lbf), q_deg_1, vel_rad_s; the unit is None if the name has none.
+    Units are recognised as in Fx (lbf), q_deg_1 or vel_rad_s; the unit is None if the name has no
+    unit.
     """
     for match in re.finditer(r"\s*[(\[{<]([^()\[\]{}<>]+)[)\]}>]", name):
         for unit in (
@@ -151,9 +152,9 @@ def split_unit(name: str) -> tuple[str, str | None]:
 
 
 def _wrench_component(text: str) -> tuple[int, int] | None:
-    """Force (0) or moment (1) and axis (0 to 2) of a wrench column, by its words.
+    """Force (0) or moment (1) and axis (0 to 2) stated in a wrench column's name.
 
-    None if the words state no component.
+    The result is None if the words state no component.
     """
     if match := re.search(r"\b([fmt])([xyz])\b", text):
         return int(match[1] != "f"), "xyz".index(match[2])
@@ -176,10 +177,10 @@ def _has_fragment(word: str, fragments: tuple[str, ...]) -> bool:
 def _signal_kind(
     words: tuple[str, ...], unit: str | None, role: tuple[int, int] | None
 ) -> str | None:
-    """Signal of a column by its words and unit; None if neither states it.
+    """Signal of a column from its words and unit; None if neither states a signal.
 
-    A wrench component precedes symbols as q, these precede fragments as vel. The unit decides where
-    it contradicts the words.
+    A wrench component takes precedence over symbols such as q, and symbols take precedence over
+    fragments such as vel. If the unit contradicts the words, the unit decides.
     """
     if role is not None:
         return "wrench"
@@ -221,11 +222,12 @@ def _signal_kind(
 
 @dataclass(frozen=True)
 class ColumnGroup:
-    """Columns whose names differ only in the part for the joint.
+    """Columns whose names differ only in the part that identifies the joint.
 
     Attributes:
-        columns: Columns, in the order of `names` if the names are the model's.
-        names: Part of each name that stands for the joint, as joint_1 or 1, or the model's name.
+        columns: Columns, in the order of `names`.
+        names: Part of each column name that identifies the joint, for example joint_1 or 1, or the
+            model's joint name.
         matched: True if `names` are joints of the model.
     """
 
@@ -235,7 +237,7 @@ class ColumnGroup:
 
     @property
     def joint_numbers(self) -> list[int]:
-        """Joint numbers of the names; empty if the names differ in more than a number."""
+        """Joint numbers in the names; empty if the names differ in more than a number."""
         suffix = r"\D*" if len(self.names) > 1 else ""
         matches = [re.fullmatch(rf"(.*?)(\d+)({suffix})", name) for name in self.names]
         contexts = {(m[1], m[3]) for m in matches if m}
@@ -248,8 +250,9 @@ class ColumnGroup:
     def with_model_joints(self, joints: Sequence[str]) -> ColumnGroup:
         """Group with the model's joint names in place of the numbers.
 
-        Equal numbers are paired; if the model's names have others, columns and joints are paired in
-        order. Excess columns are left out; a group with too few numbers is unchanged.
+        Columns and joints with equal numbers are paired; if the joint names contain other numbers,
+        columns and joints are paired in order. Excess columns are omitted; a group with too few
+        numbers is returned unchanged.
 
         Args:
             joints: Joint names of the model, in its order.
@@ -279,7 +282,7 @@ class ColumnGroup:
         ).reordered_as(joints)
 
     def reordered_as(self, names: Sequence[str]) -> ColumnGroup:
-        """Group with columns in the order of other names of the same joints.
+        """Group with columns in the order of a permutation of its names.
 
         Args:
             names: Names in the new order; the group is unchanged if they are not the group's names.
@@ -301,7 +304,7 @@ def column_groups(
 
     Args:
         columns: Columns of one signal.
-        joints: Joint names of the model, if it is known.
+        joints: Joint names of the model; empty if the model is unknown.
     """
     by_template: dict[str, list[tuple[ColumnName, str]]] = {}
     by_model: dict[str, list[tuple[ColumnName, str]]] = {}
@@ -345,7 +348,7 @@ def column_groups(
 def as_joint_torque(column: ColumnName, joints: Sequence[str]) -> ColumnName:
     """Column as a joint torque, if its name has a force (without axis) and a joint.
 
-    Other columns are unchanged.
+    Other columns are returned unchanged.
 
     Args:
         column: Column with the signal that its name states.
@@ -372,10 +375,10 @@ def _group_of_distinct_joints(
 def likeliest_group(
     groups: Sequence[ColumnGroup], count: int | None
 ) -> ColumnGroup | None:
-    """Group that most likely belongs to the robot's joints; None without groups.
+    """Group that most likely belongs to the robot's joints; None if there are no groups.
 
-    Criteria, in this order: as many columns as joints, more columns than joints, joint names of the
-    model and words for measured values, number of columns.
+    The criteria, in order of precedence, are: as many columns as joints; more columns than joints;
+    joint names of the model and words for measured values; number of columns.
 
     Args:
         groups: Groups of one signal.
@@ -395,15 +398,16 @@ def likeliest_group(
 
 
 def plate_columns(columns: Sequence[ColumnName]) -> dict[str, list[ColumnName]]:
-    """Six columns of each plate by label, forces first.
+    """Six columns of each plate keyed by its label, forces first.
 
-    If no plate has six recognised components, any group of six columns is taken, else all columns.
+    If no plate has six recognised components, the first group of six columns is taken, or all
+    columns if there is no such group.
 
     Args:
         columns: Columns that may belong to a wrench.
 
     Returns:
-        Columns by the words that distinguish the plates in the names.
+        Columns keyed by the words of the names that distinguish the plates.
     """
     sets: dict[str, dict[tuple[int, int], ColumnName]] = {}
     for column in columns:
@@ -434,8 +438,8 @@ def _model_joint_template(
 ) -> list[tuple[str, str]]:
     """Column name with a placeholder for the model's joint in it, and the joint.
 
-    The longest joint name that occurs is taken; the list is empty if none occurs. Joint names that
-    are numbers only are ignored.
+    The longest joint name that occurs in the column name is taken; the list is empty if no joint
+    name occurs. Joint names that consist of numbers only are ignored.
     """
     name, longest = f" {' '.join(column.words)} ", 0
     matches: list[tuple[str, str]] = []
@@ -451,10 +455,10 @@ def _model_joint_template(
 def _label_template(
     column: ColumnName, columns: Sequence[ColumnName]
 ) -> Iterator[tuple[str, str]]:
-    """Yield a column's name with placeholders, and the last word that other columns lack.
+    """Yield the template of a column's name, and the label that identifies its joint.
 
-    Words that name a signal have no placeholder and are not that word. Without such a word nothing
-    is yielded.
+    Words that name a signal stay in the template; placeholders replace the others. The label is the
+    last replaced word that some other column lacks; nothing is yielded if there is no such word.
     """
     marked = re.sub(WORD_PATTERN, _mark_signal_word, column.name_without_unit)
     parts = re.findall(r"\0\w+\0|[A-Za-z\d]+(?:[_-]*[A-Za-z\d]+)*", marked, re.ASCII)
@@ -470,7 +474,7 @@ def _label_template(
 def _mark_signal_word(word: re.Match[str]) -> str:
     """Put a word between null characters if it names a signal.
 
-    Of JointAngle both words are marked, as the second one names the signal.
+    A word before a signal word is marked too: both words of JointAngle, for example.
 
     Args:
         word: Match of the word in the whole name.

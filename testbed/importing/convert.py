@@ -80,7 +80,8 @@ class _Stream:
         values: Values in the units of the file, (M, k).
         rows: Row indices of the samples in the file, (M,).
         begin: Time of the first sample of the source [s].
-        shorter: Length of the source's longest signal minus the length of this signal [s].
+        shorter: Difference between the duration of the source's longest signal and the duration of
+            this signal [s].
     """
 
     table: AnyTable
@@ -106,18 +107,18 @@ class _Samples:
 def import_recordings(
     path: Path, mapping: Mapping | None = None
 ) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
-    """Recordings of a mapping file, separated by gaps, with diagnostics of the gaps.
+    """Recordings of a mapping file, separated at gaps, and diagnostics of the gaps.
 
-    Times count from the first sample of the first recording. The import report is in
-    `metadata.report`, its diagnostics are in `metadata.diagnostics`.
+    Times are measured from the first sample of the first recording. The import report is in
+    `metadata.report`, and its diagnostics are in `metadata.diagnostics`.
 
     Args:
-        path: Mapping file, TOML; the files it names are relative to it.
+        path: Mapping file, TOML; its file names are relative to it.
         mapping: Content of the mapping file; default: read from `path`.
 
     Raises:
         ExperimentError: The mapping is not valid.
-        RecordingError: A file is missing or damaged, or does not hold the columns of the mapping.
+        RecordingError: A file is missing or damaged, or lacks columns of the mapping.
     """
     mapping = mapping or read_mapping(path)
     try:
@@ -152,11 +153,11 @@ def import_recording(path: str | Path) -> Recording:
     """Import a mapping file as one recording (docs/your-recording.md), joined across gaps.
 
     Args:
-        path: Mapping file, TOML; the files it names are relative to it.
+        path: Mapping file, TOML; its file names are relative to it.
 
     Raises:
         ExperimentError: The mapping is not valid.
-        RecordingError: A file is missing or damaged, or does not hold the columns of the mapping.
+        RecordingError: A file is missing or damaged, or lacks columns of the mapping.
     """
     return joined_recording(*import_recordings(Path(path)))
 
@@ -164,11 +165,11 @@ def import_recording(path: str | Path) -> Recording:
 def joined_recording(
     recordings: Sequence[Recording], cuts: Sequence[Diagnostic]
 ) -> Recording:
-    """Join the recordings of a mapping file, with metadata of the longest and all diagnostics.
+    """Join recordings of a mapping file, with metadata of the longest and all diagnostics.
 
     Args:
-        recordings: Recordings in the order of time.
-        cuts: Diagnostics of the gaps between them; empty for one recording.
+        recordings: Recordings in chronological order.
+        cuts: Diagnostics of the gaps between the recordings; empty for one recording.
     """
     if not cuts:
         return recordings[0]
@@ -201,6 +202,10 @@ def source_time_ranges(
 ) -> dict[str, tuple[float, float]]:
     """First and last time of each source from a common origin (offset and skew corrected) [s].
 
+    Args:
+        mapping: Content of the mapping file.
+        folder: Folder of the mapping file.
+
     Raises:
         RecordingError: A file is missing or damaged, or its times are not valid.
     """
@@ -213,7 +218,7 @@ def source_time_ranges(
 def _samples_and_grid(
     mapping: Mapping, streams: Table[str, _Stream], window: Window
 ) -> tuple[dict[str, _Samples], Array]:
-    """Samples of all signals in a window, and the grid times there [s]."""
+    """Samples of all signals in a window, and the grid times in the window [s]."""
     samples = {
         label: _samples(mapping, label, each, window) for label, each in streams.items()
     }
@@ -229,7 +234,8 @@ def _recording_columns(
 ) -> tuple[dict[str, Array], dict[str, Any]]:
     """Columns and metadata of a recording on a grid.
 
-    Grid times are (L,) [s], `origin` becomes time zero; dictionaries are by label in the mapping.
+    Grid times are (L,) [s], and `origin` becomes time zero; the dictionaries of streams and samples
+    are keyed by label in the mapping.
     """
     columns: dict[str, Array] = {"time": grid - origin}
     clocks: dict[str, ClockReport] = {}
@@ -255,7 +261,7 @@ def _recording_columns(
 
 
 def _open_source(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
-    """Open the file of a source; RecordingError if its used columns differ in length."""
+    """Open the file of a source; RecordingError if the columns in use differ in length."""
     source = mapping.sources[name]
     path = folder / source.file
     if not folder.is_dir():  # folder of an unwritten mapping
@@ -276,9 +282,10 @@ def _open_source(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
 
 
 def _source_times(mapping: Mapping, name: str, table: ForeignTable) -> SourceTimes:
-    """Sample times of a source, corrected by its `skew` but not its `offset`.
+    """Sample times of a source, corrected by its `skew` but not by its `offset`.
 
-    Without a time column, samples are equidistant at the rate of the source, else of the recording.
+    Without a time column, samples are equidistant at the rate of the source or, by default, of the
+    recording.
 
     Raises:
         RecordingError: All time stamps are equal.
@@ -303,7 +310,7 @@ def _source_times(mapping: Mapping, name: str, table: ForeignTable) -> SourceTim
 
 
 def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
-    """Complete samples of all signals, by label of the signal's table in the mapping."""
+    """Complete samples of all signals, keyed by label of the signal's table in the mapping."""
     files = {
         name: _open_source(folder, mapping, name) for name in used_columns(mapping)
     }
@@ -328,9 +335,9 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
 
 
 def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _Stream:
-    """Samples of a signal with finite time and values in all columns.
+    """Samples of a signal with finite time and finite values in all columns.
 
-    Columns that share no such row are interpolated (`spline_to_common_rows`).
+    Columns that share no row with finite values are interpolated (`spline_to_common_rows`).
 
     Raises:
         RecordingError: There are fewer than `MIN_SIGNAL_SAMPLES` samples.
@@ -383,10 +390,11 @@ def _common_window(mapping: Mapping, streams: Table[str, _Stream]) -> Window:
 
 
 def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _Samples:
-    """Samples in a window and one beyond either end, without repeated samples.
+    """Samples in a window and one sample beyond either end, without repeated samples.
 
     The signal's delay is subtracted from the times. Values remain in the units of the file: torques
-    get their sign bit, positions are unwrapped, quaternions made continuous.
+    are signed according to their sign bit, positions are unwrapped, and quaternions are made
+    continuous.
     """
     table, time, name = stream.table, stream.time, stream.table.source
     source = mapping.sources[name]
@@ -433,7 +441,7 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
 def _grid_times(
     mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]
 ) -> Array:
-    """Times of the uniform grid, (L,) [s], without the ends that low-pass filters take.
+    """Times of the uniform grid, (L,) [s], without the ends that low-pass filters remove.
 
     Raises:
         RecordingError: The grid has too many samples for memory, or fewer than two.

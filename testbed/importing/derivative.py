@@ -1,8 +1,8 @@
 """Check of measured derivatives: unit, sign and joint order of velocities and accelerations.
 
-A velocity is integrated over short windows, and the increments of the position are regressed on
-the integrals: noisy positions are never differentiated. Accelerations are compared with velocities
-in the same way.
+Velocities are integrated over short windows, and the increments of the positions are regressed on
+these integrals, so noisy positions are never differentiated. Accelerations are compared with
+velocities in the same way.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MIN_MOTION = 0.02
 
 
 class DerivativeError(RecordingError):
-    """Mismatch of units, signs or order between a signal and a derivative.
+    """Mismatch of units, signs or joint order between a signal and its derivative.
 
     Attributes:
         lines: Lines of the mapping file that correct the mismatch; empty if a matrix mixes the
@@ -61,12 +61,12 @@ class DerivativeError(RecordingError):
 
 @dataclass(frozen=True, eq=False)
 class DerivativeRegression:
-    """Regression of each signal's increments on each of several integrals, one at a time.
+    """Separate regressions of each signal's increments on the integral of each derivative.
 
     Attributes:
-        slope: Slope of signal i's increments over integral j, (n, n).
-        explained_variance: Squared correlation of signal i with integral j, (n, n); 0 where nothing
-            moves.
+        slope: Slope of signal i's increments as a function of integral j, (n, n).
+        explained_variance: Squared correlation of signal i with integral j, (n, n); 0 where a
+            signal or integral is constant.
     """
 
     slope: Array
@@ -74,11 +74,11 @@ class DerivativeRegression:
 
     @property
     def column_order(self) -> NDArray[np.intp]:
-        """Index of the integral that each signal follows, (n,).
+        """Index of the integral that fits each signal, (n,).
 
-        It is the signal's own index, unless another integral explains more than 0.9 of the variance
-        and leaves less than a fifth of the own integral's residual variance. If the result is no
-        permutation, all indices are the signals' own.
+        It is the signal's own index unless another integral explains more than 0.9 of the variance
+        and leaves less than a fifth of the residual variance that the signal's own integral leaves.
+        If the result is not a permutation, every signal keeps its own index.
         """
         joints = np.arange(len(self.explained_variance))
         best, own = (
@@ -98,12 +98,12 @@ def regress_on_integrals(
 ) -> DerivativeRegression:
     """Regress the increments of signals on the integrals of possible derivatives.
 
-    Increments over 1/200, 1/60 and 1/20 of the samples are tried; the length with the largest sum
-    of each signal's best explained variance is taken. Rows with nan are left out.
+    Increments over 1/200, 1/60 and 1/20 of the samples are tried. The regression returned has the
+    largest sum, over the signals, of the best explained variance. Rows with nan are omitted.
 
     Args:
-        values: Signals, as positions, (M, n).
-        rates: Derivatives, as velocities, (M, n).
+        values: Signals, for example positions, (M, n).
+        rates: Derivatives, for example velocities, (M, n).
         time: Sample times, (M,) [s].
     """
     whole_rows = np.isfinite(values).all(axis=1) & np.isfinite(rates).all(axis=1)
@@ -120,7 +120,7 @@ def regress_on_integrals(
 
 
 def _regression(span: int, values: Array, integrals: Array) -> DerivativeRegression:
-    """Regress increments of signals on increments of integrals, over a number of samples.
+    """Regress increments of signals on increments of integrals over a given number of samples.
 
     Args:
         span: Number of samples over which increments are taken.
@@ -144,11 +144,14 @@ def _regression(span: int, values: Array, integrals: Array) -> DerivativeRegress
 
 
 def unit_of_size(kind: str, size: float) -> str | None:
-    """Unit of a quantity within 3 % of a given size (in SI), or None.
+    """Unit of a quantity whose size is within 3 % of a given size.
 
     Args:
         kind: Quantity, a key of `UNITS_BY_QUANTITY`.
         size: Size of the unit in SI.
+
+    Returns:
+        Unit nearest in size; None if no unit is within 3 %.
     """
     errors = {
         unit: abs(factor / size - 1)
@@ -164,12 +167,12 @@ def check_derivatives(
 ) -> dict[str, SignalReport]:
     """Compare velocities with positions, and accelerations with velocities, and report mismatches.
 
-    Slopes of `regress_on_integrals` beyond 10 % of one are errors; joints of which the integral
-    explains at most 0.9 of the variance are reported in a diagnostic.
+    A slope of `regress_on_integrals` that differs from one by more than 10 % is an error. Joints
+    for which the integral explains at most 0.9 of the variance are reported in a diagnostic.
 
     Args:
         mapping: Content of the mapping file.
-        columns: Columns of the recording by name, (M,) each.
+        columns: Columns of the recording, keyed by name, (M,) each.
         reports: Reports of all signals.
 
     Returns:
@@ -177,7 +180,7 @@ def check_derivatives(
 
     Raises:
         RecordingError: A derivative has another unit, sign or joint order, or a position is
-            constant though its velocity is not.
+            constant although its velocity is not.
     """
     checked: dict[str, SignalReport] = {}
     pairs: tuple[tuple[JointQuantity, JointQuantity], ...] = (
@@ -222,7 +225,7 @@ def _check_positions_change(
 ) -> None:
     """Refuse a signal that is constant although its derivative shows motion.
 
-    There is motion if the integral of the derivative without its mean ranges over more than
+    The derivative shows motion if its integral, after subtraction of its mean, spans more than
     `MIN_MOTION`.
 
     Args:
@@ -234,7 +237,7 @@ def _check_positions_change(
         time: Sample times, (M,) [s].
 
     Raises:
-        RecordingError: The signal of a joint is constant.
+        RecordingError: The signal of such a joint is constant.
     """
     displacement = np.cumsum(
         (rates - rates.mean(axis=0))[1:] * np.diff(time)[:, None], axis=0
@@ -341,8 +344,9 @@ def _correcting_lines(
 ) -> list[MappingLine]:
     """Lines of the mapping file that correct columns, signs or units.
 
-    If either of two units may be wrong, the correction that gives the more usual sizes of signal
-    and derivative is taken (`_log_size_excess`). The list is empty if there is no correction.
+    If the unit of either the signal or the derivative may be wrong, `_log_size_excess` decides: the
+    correction that gives the more usual sizes of both is taken. The list is empty if no correction
+    is found.
 
     Args:
         kind: Kind of the derivative.
@@ -350,7 +354,7 @@ def _correcting_lines(
         of: Kind of the signal.
         below: Table of the signal in the mapping.
         order: Index of the derivative's column that belongs to each joint, (n,).
-        slope: Slopes of the signal's increments over the derivative's integrals, (n,).
+        slope: Slopes of the signal's increments as a function of the derivative's integrals, (n,).
         rms: Root mean squares of signal and derivative in the new order, (2, n).
     """
     if table.matrix is not None or below.matrix is not None:
@@ -381,11 +385,11 @@ def _correcting_lines(
 
 
 def _log_size_excess(rms: Array, ratios: Array) -> float:
-    """Excess of log sizes if the derivative's unit is corrected instead of the signal's.
+    """Excess of log sizes if the derivative's unit is corrected instead of the signal's unit.
 
-    Log sizes are |log(rms)| of signal and derivative after the correction, summed. Joints
-    typically move by about one radian or metre, about as much each second: logarithms of the right
-    sizes are small. A positive value indicates a wrong unit of the signal.
+    The log size is the sum of |log(rms)| of signal and derivative after the correction. Joints
+    typically move by about one radian or metre, and by about as much per second, so the log size is
+    small if the units are right. A positive excess indicates a wrong unit of the signal.
 
     Args:
         rms: Root mean squares of signal and derivative, (2, n).

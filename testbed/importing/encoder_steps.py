@@ -1,4 +1,4 @@
-"""Steps in encoder readings: whole turns are unwrapped, other steps are reported."""
+"""Steps in encoder readings: whole turns are removed, other steps are reported."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def unwrapped_positions(
 ) -> tuple[Array, tuple[Diagnostic, ...]]:
     """Unwrapped positions, (M, k), and diagnostics of removed turns and of remaining steps.
 
-    Differences of successive angles are reduced by the nearest number of whole turns. Then steps of
-    `signal_steps` above 5e-3 rad or m are reported for columns with at most three, without steps
-    that end a standstill.
+    Differences of successive angles are reduced by the nearest number of whole turns. Steps found
+    by `signal_steps` are then reported if they exceed 5e-3 rad or m, do not end a standstill, and
+    number at most three in their column.
 
     Args:
         table: Table of the positions in the mapping.
-        names: Joint names, or names of the columns where a matrix mixes them.
+        names: Joint names, or names of the columns if a matrix mixes them.
         time: Sample times, increasing, (M,) [s].
         values: Positions in the units of the file, (M, k).
     """
@@ -77,9 +77,9 @@ def unwrapped_positions(
 
 
 def _ends_standstill(values: Array, i: int) -> bool:
-    """Test whether a column is constant before a step, over 20 samples, and moves afterwards.
+    """Test whether a column is constant over 20 samples before a step, and moves afterwards.
 
-    Such a step is a loss of samples, not a new zero of the encoder.
+    At such a step samples were lost; the zero of the encoder did not move.
     """
     constant = i >= MIN_STANDSTILL_SAMPLES and not np.ptp(
         values[i - MIN_STANDSTILL_SAMPLES : i + 1]

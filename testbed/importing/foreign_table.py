@@ -1,7 +1,7 @@
 """Columns of a foreign file by name, loaded on demand.
 
-A reader of a format lists the arrays in a file and loads them; it has no data about robots. This
-module splits arrays into columns, in the same way for all formats.
+The reader of a format lists and loads the arrays in a file, without regard to robots. This module
+splits the arrays into columns, in the same way for all formats.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ UNIT_WORD_OF_SYNONYM, UNIT_OF_SYNONYM = (
 
 
 def canonical_unit(unit: str) -> str:
-    """Unit in the package's notation; in-lbf, N·m, °/s and similar notations are converted.
+    """Unit in the package's notation, converted from in-lbf, N·m, °/s and similar notations.
 
-    An unknown unit is returned unchanged, but for blanks.
+    An unknown unit is returned unchanged, except for blanks.
 
     Args:
         unit: Unit as written by a user or in a file.
@@ -102,7 +102,7 @@ def canonical_unit(unit: str) -> str:
 
 
 def _factors(text: str) -> str:
-    """Product of unit words in the package's notation, a force before a length."""
+    """Product of unit words in the package's notation, with forces before lengths."""
     factors = re.split(r"[\s*·⋅.\-_]+", text)
     normalised = [
         word.lower() if len(word) > 2 and word not in UNIT_WORD_OF_SYNONYM else word
@@ -139,7 +139,7 @@ def check_unit(kind: str, unit: str, *, with_gain: bool = False) -> None:
 
 
 def unit_size(kind: str, unit: str) -> float:
-    """Size of a unit in SI; of raw units, the value of the prefix (1e-3 for mA).
+    """Size of a unit in SI; for raw units, the value of the prefix (1e-3 for mA).
 
     Args:
         kind: Quantity, a key of `UNITS_BY_QUANTITY`.
@@ -149,7 +149,7 @@ def unit_size(kind: str, unit: str) -> float:
 
 
 def is_length_unit(unit: str) -> bool:
-    """Test whether a unit of position is a length, as of a prismatic joint.
+    """Test whether a unit of position is a length, as for a prismatic joint.
 
     Args:
         unit: Unit of a position.
@@ -173,8 +173,8 @@ class DescribedPlate:
 
     Attributes:
         name: Name for the plate's table in a mapping.
-        columns: Columns of force and moment on the plate along the sensor's axes, or of the
-            channels from which `matrix` computes them.
+        columns: Columns of force and moment on the plate along the sensor's axes, or channels from
+            which `matrix` computes force and moment.
         sensor_pose: Pose `xyz` [m] and `rpy` [rad] of the sensor in the laboratory frame; None if
             unknown.
         matrix: Calibration matrix from columns to forces [N] and moments [N m], (6, k); None if the
@@ -191,14 +191,14 @@ class DescribedPlate:
 class ForeignTable:
     """Columns of a foreign file by name; their lengths may differ.
 
-    An array of one axis is a column with the array's name. The longer axis of an array of two axes
-    runs over samples; its columns are NAME[0], NAME[1], ...
+    A one-dimensional array is a column with the array's name. In a two-dimensional array, the
+    longer axis runs over samples, and the columns are NAME[0], NAME[1], ...
 
     Attributes:
-        path: File.
-        shapes: Shapes of the numeric arrays by name.
-        load_array: Function that loads an array by name.
-        units: Units that the file states, by column or array, in the file's notation.
+        path: Path of the file.
+        shapes: Shapes of the numeric arrays, keyed by name.
+        load_array: Function that loads an array, given its name.
+        units: Units that the file states, keyed by column or array, in the file's notation.
         is_incomplete: True if an incomplete last sample was omitted.
         plates: Force plates that the file describes.
     """
@@ -228,8 +228,8 @@ class ForeignTable:
 
         Args:
             path: File from which the arrays were read.
-            arrays: Numeric arrays by name.
-            units: Units by array.
+            arrays: Numeric arrays, keyed by name.
+            units: Units, keyed by array.
         """
         shapes = {name: values.shape for name, values in arrays.items()}
         return ForeignTable(path, shapes, arrays.__getitem__, units)
@@ -241,14 +241,14 @@ class ForeignTable:
 
     @cached_property
     def lengths(self) -> dict[str, int]:
-        """Number of samples of each column, by name."""
+        """Number of samples of each column, keyed by name."""
         return {
             name: max(self.shapes[array])
             for name, (array, _) in self._column_locations.items()
         }
 
     def unit(self, column: str) -> str | None:
-        """Unit that the file states for a column; None if it states none.
+        """Unit that the file states for a column; None if the file states no unit.
 
         Args:
             column: Column name.
@@ -257,14 +257,14 @@ class ForeignTable:
         return self.units.get(column, self.units.get(array))
 
     def column_values(self, columns: Iterable[str]) -> dict[str, Array]:
-        """Values of the given columns by name, (M,) each.
+        """Values of the given columns, keyed by name, (M,) each.
 
         Args:
             columns: Column names.
 
         Raises:
-            UnknownName: There is no such column.
-            RecordingError: The file is damaged there, or holds too many numbers.
+            UnknownName: A column does not exist.
+            RecordingError: The data of a column are damaged, or there are too many numbers.
         """
         return {
             k: np.array(row, dtype=np.float64)
@@ -272,20 +272,20 @@ class ForeignTable:
         }
 
     def matrix(self, columns: Sequence[str]) -> Array:
-        """Values of columns of one length, side by side, (M, k).
+        """Values of columns of equal length, side by side, (M, k).
 
         Args:
             columns: Column names.
 
         Raises:
-            UnknownName: There is no such column.
-            RecordingError: The file is damaged there, or holds too many numbers.
+            UnknownName: A column does not exist.
+            RecordingError: The data of a column are damaged, or there are too many numbers.
         """
         read = self.column_values(columns)
         return np.stack([read[name] for name in columns], axis=1)
 
     def _column_arrays(self, columns: Iterable[str]) -> dict[str, NDArray[Any]]:
-        """Values of columns by name in the dtype of the file, (M,) each."""
+        """Values of columns in the dtype of the file, keyed by name, (M,) each."""
         locations, names = self._column_locations, list(columns)
         for name in names:
             if name not in locations:
@@ -298,26 +298,26 @@ class ForeignTable:
         return {name: loaded[locations[name][0]][locations[name][1]] for name in names}
 
     def time_stamps(self, column: str) -> Array | NDArray[np.int64]:
-        """Time stamps of a column, (M,), as integers where the file holds integers.
+        """Time stamps of a column, (M,), as integers if the file holds integers.
 
-        Nanoseconds since 1970 have more digits than floating-point numbers.
+        Nanoseconds since 1970 have more digits than a floating-point number can hold.
 
         Args:
             column: Column name.
 
         Raises:
-            UnknownName: There is no such column.
-            RecordingError: The file is damaged there, or holds too many numbers.
+            UnknownName: The column does not exist.
+            RecordingError: The data of the column are damaged, or there are too many numbers.
         """
         values = self._column_arrays([column])[column]
         is_integer = values.dtype.kind in "iu"
         return values.astype(np.int64) if is_integer else values.astype(np.float64)
 
     def _array_columns(self, name: str) -> NDArray[Any]:
-        """Array loaded from the file with a row for each column, (k, M).
+        """Array loaded from the file, with one row for each column, (k, M).
 
         Raises:
-            ValueError: The array has another shape than announced, or is not numeric.
+            ValueError: The array is not numeric, or its shape differs from `shapes`.
         """
         array = np.asarray(self.load_array(name))
         if array.shape != self.shapes[name] or array.dtype.kind not in REAL_DTYPE_KINDS:
@@ -328,7 +328,7 @@ class ForeignTable:
 
     @cached_property
     def _column_locations(self) -> dict[str, tuple[str, int]]:
-        """Array name and index in that array, by column name."""
+        """Array name and index of the column in that array, keyed by column name."""
         locations = {}
         for name, shape in self.shapes.items():
             if (count := _width(shape)) == 1:
@@ -345,8 +345,8 @@ TablesByTopic = dict[str, ForeignTable | RecordingError | UnknownName]
 def is_column_array(shape: tuple[int, ...], kind: str) -> bool:
     """Test whether an array's shape and dtype permit splitting it into columns.
 
-    The array has real numbers, one or two axes, two samples or more, and at most `MAX_COLUMNS`
-    columns.
+    The array must have real numbers, one or two axes, two samples or more, and at most
+    `MAX_COLUMNS` columns.
 
     Args:
         shape: Shape of the array.
@@ -366,12 +366,12 @@ def check_count(path: Path, items: str, count: int, maximum: int) -> None:
 
     Args:
         path: File or folder.
-        items: Name of the counted items: columns, lines.
+        items: Name of the items, for example columns or lines.
         count: Number of items.
         maximum: Largest accepted number.
 
     Raises:
-        RecordingError: There are more.
+        RecordingError: The number of items exceeds the maximum.
     """
     if count > maximum:
         raise RecordingError(
@@ -384,7 +384,7 @@ def unique_column_names(names: Sequence[str], count: int) -> list[str]:
     """Unique names of columns; a repeated name gets its index as a suffix.
 
     Args:
-        names: Names in the file; a column without a name is called by its index.
+        names: Names in the file; a column without a name is named by its index.
         count: Number of columns.
     """
     unique: dict[str, None] = {}
@@ -398,7 +398,7 @@ def unique_column_names(names: Sequence[str], count: int) -> list[str]:
 
 @contextmanager
 def reading_errors_as_recording_errors(path: Path) -> Iterator[None]:
-    """Turn an exception of a library that reads a file into a `RecordingError`.
+    """Convert an exception of a library that reads a file to a `RecordingError`.
 
     Args:
         path: File that is read in the context.
@@ -415,10 +415,10 @@ def reading_errors_as_recording_errors(path: Path) -> Iterator[None]:
 
 
 def reading_error(path: Path, error: Exception) -> RecordingError | UnknownName:
-    """Error message for an exception of a library that reads a file.
+    """Error for an exception of a library that reads a file.
 
     Args:
-        path: File.
+        path: Path of the file.
         error: Exception of the library; returned unchanged if it is an error of this package.
     """
     if isinstance(error, RecordingError | UnknownName):

@@ -56,9 +56,9 @@ def guess_mapping(
     joints: Sequence[str] = (),
     subsets: Iterable[Sequence[str]] = (),
 ) -> MappingDraft:
-    """Draft of a mapping file, from names, units and values of foreign columns.
+    """Draft of a mapping file from names, units and values of foreign columns.
 
-    Keys that these do not determine have empty values, which `read_mapping` refuses.
+    Keys that these do not determine get empty values, which `read_mapping` refuses.
 
     Args:
         paths: Files of other programs.
@@ -67,8 +67,8 @@ def guess_mapping(
         subsets: Subsets of the joints, tried in this order if the columns do not fit all joints.
 
     Raises:
-        RecordingError: A file cannot be read, or no file holds columns of numbers.
-        UnknownName: A file has an unknown ending.
+        RecordingError: A file cannot be read, or no file contains numeric columns.
+        UnknownName: A file has an unknown extension.
     """
     sources = find_sources(paths)
     if not sources:
@@ -117,7 +117,7 @@ def guess_mapping(
 def _draft_with_source(
     draft: MappingDraft, source: LikelySource, folder: Path
 ) -> MappingDraft:
-    """Draft with the table of a source, and comments that list the source's columns."""
+    """Draft extended by the table of a source, with comments that list the source's columns."""
     name = f"sources.{source.name}"
     file = os.path.relpath(source.file.resolve(), folder.resolve())
     comments = (
@@ -148,7 +148,7 @@ def _matched_signals(
     Subsets are tried until the columns of all signals are matched with joints.
 
     Returns:
-        The signals and the joints to which they belong.
+        Signals, and the joints to which they belong.
     """
     signals = find_signals(sources, joints)
     for subset in subsets:
@@ -163,7 +163,7 @@ def _matched_signals(
 def _recording_rate(
     sources: Sequence[LikelySource], signals: Mapping[JointQuantity, LikelySignal]
 ) -> float:
-    """Sampling rate of the positions, else the highest of all sources [Hz]; 0 if unknown."""
+    """Sampling rate of the positions, or the highest of all sources [Hz]; 0 if unknown."""
     if "position" in signals and (
         position_rate := signals["position"].source.clock.rate
     ):
@@ -229,9 +229,10 @@ def _draft_with_signal(
     signals: Mapping[JointQuantity, LikelySignal],
     sources: Sequence[LikelySource],
 ) -> MappingDraft:
-    """Draft with the table of a signal.
+    """Draft extended by the table of a signal.
 
-    Without recognised columns, a position or torque gets comments in place of its table.
+    If no columns are recognised, comments replace the table of positions and torques; other signals
+    are omitted.
     """
     excluded = [
         c.name for s in sources for c in s.columns if c.kind == kind and c.is_excluded
@@ -259,7 +260,8 @@ def _draft_with_signal(
 def _signal_keys(kind: JointQuantity, signal: LikelySignal) -> Iterator[AnnotatedKey]:
     """Yield keys of a joint signal's table, with values and comments.
 
-    These are source, columns and unit, and if recognised: scale of counts, sign bit, signs.
+    The keys are source, columns and unit and, where recognised, matrix and offset for encoder
+    counts, sign bit and signs.
     """
     others = (
         f"others that look like it: {json.dumps(signal.other_columns)}"
@@ -294,7 +296,7 @@ def _signal_keys(kind: JointQuantity, signal: LikelySignal) -> Iterator[Annotate
 def _unit_keys(kind: JointQuantity, signal: LikelySignal) -> Iterator[AnnotatedKey]:
     """Yield the unit of a signal's columns, and an empty `gain` for raw units.
 
-    The unit is empty unless the units of all columns are known, and raw for all columns or none.
+    The unit is empty if the unit of a column is unknown, or if raw and other units are mixed.
     """
     known = UNITS_BY_QUANTITY[kind] | (RAW_UNITS if kind == "torque" else {})
     units = [unit for unit in signal.units if unit in known]
@@ -320,7 +322,7 @@ def _temperature_signal(
     joints: Sequence[str],
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signal "temperature" of the drives, if all joints have a column; else empty."""
+    """Signal "temperature" of the drives if every joint has a column; empty otherwise."""
     position = signals.get("position")
     names = list(joints) if position is None else list(position.group.names)
     for source in sources:
@@ -351,12 +353,13 @@ def _plate_keys(
 ) -> Iterator[AnnotatedKey]:
     """Yield keys of a force plate's table, with values and comments.
 
-    Units, matrix and pose are those that the file states, else empty; so is the sense.
+    Units, matrix, pose and sense are taken from the file; a key that the file does not state is
+    empty.
 
     Args:
         source: Source of the columns.
         columns: Columns of the plate: force, then moment.
-        single: True if there is no other plate.
+        single: True if there is only one plate.
     """
     names = tuple(each.name for each in columns)
     unstated = DescribedPlate("", names)
@@ -434,7 +437,7 @@ def _unit_list(kind: str) -> str:
 
 
 def _common_unit(columns: Sequence[ColumnName], kind: str) -> str:
-    """Unit that all columns state; empty without a common and known unit."""
+    """Unit that all columns state; empty if the columns have no common, known unit."""
     units = {canonical_unit(each.unit or "") for each in columns}
     return (
         units.pop()

@@ -19,11 +19,12 @@ MAX_NOTE_LENGTH = 300
 
 @dataclass(frozen=True)
 class MappingDraft:
-    """Draft of a mapping file: tables, notes beside keys, comments above tables.
+    """Draft of a mapping file: tables, comments on keys, and comment lines above tables.
 
     Attributes:
-        tables: Keys and values by the dotted name of their table; the top level has an empty name.
-        key_comments: Note beside a key, by table and key.
+        tables: Keys and values, keyed by the dotted name of their table; the top level has an empty
+            name.
+        key_comments: Comment at the end of a key's line, keyed by table and key.
         table_comments: Comment lines above a table, or in place of a missing table.
     """
 
@@ -34,13 +35,13 @@ class MappingDraft:
     def with_key(
         self, table: str, key: str, value: Any, note: str = ""
     ) -> MappingDraft:
-        """Draft with a new value and note for a key.
+        """Draft with a new value and comment for a key.
 
         Args:
             table: Dotted name of the table.
             key: Key in the table.
             value: Number, text, list or table; None removes the key.
-            note: Note beside the key, one line; none if empty.
+            note: Comment at the end of the key's line; empty for no comment.
         """
         entries = {**self.tables.get(table, {}), key: value}
         keys = {name: each for name, each in entries.items() if each is not None}
@@ -55,11 +56,11 @@ class MappingDraft:
     def with_keys(
         self, table: str, keys: Iterable[tuple[str, Any, str]]
     ) -> MappingDraft:
-        """Draft with new values and notes for several keys of a table.
+        """Draft with new values and comments for several keys of a table.
 
         Args:
             table: Dotted name of the table.
-            keys: Keys with values and notes.
+            keys: Keys with values and comments.
         """
         draft = self
         for key, value, note in keys:
@@ -67,11 +68,11 @@ class MappingDraft:
         return draft
 
     def with_comment_lines(self, table: str, *lines: str) -> MappingDraft:
-        """Draft with more comment lines above a table, or in place of a missing table.
+        """Draft with additional comment lines above a table, or in place of a missing table.
 
         Args:
             table: Dotted name of the table.
-            lines: Comment lines, with "#".
+            lines: Comment lines, starting with "#".
         """
         comments = [*self.table_comments.get(table, ()), *lines]
         return replace(
@@ -115,7 +116,10 @@ class MappingDraft:
         return "\n\n".join(blocks) + "\n"
 
     def line_number(self, key: str) -> int:
-        """Line number of a key in `text`, else of the key's table, else 1.
+        """Line number of a key in `text`, or of the key's table.
+
+        The line number is that of the table if the key is missing, and 1 if the table is missing
+        too.
 
         Args:
             key: Key with the dotted name of its table.
@@ -154,7 +158,7 @@ MappingLine: TypeAlias = tuple[str, str, Any]
 
 
 def mapping_advice(lines: Iterable[MappingLine]) -> str:
-    """Advice to write lines into the mapping file; of equal keys the last line counts.
+    """Advice to write lines into the mapping file; the last line per key takes precedence.
 
     Args:
         lines: Lines to be applied together, in this order.
@@ -180,8 +184,9 @@ class SignalReport:
     Attributes:
         source: Name of the source.
         held: Share of samples in which no channel changed.
-        dropped: Number of samples omitted as unchanged.
-        low_pass: True if the signal was low-passed because the source is faster than the grid.
+        dropped: Number of samples omitted because they are unchanged.
+        low_pass: True if the signal was low-pass filtered because the source is faster than the
+            grid.
         diagnostics: Diagnostics of the signal.
     """
 
@@ -199,8 +204,8 @@ class ImportReport:
     Attributes:
         rate: Rate of the recording [Hz].
         samples: Number of samples of the recording.
-        clocks: Report on time stamps by source.
-        signals: Report on samples by signal.
+        clocks: Reports on time stamps, keyed by source.
+        signals: Reports on samples, keyed by signal.
     """
 
     rate: float
@@ -210,10 +215,10 @@ class ImportReport:
 
     @staticmethod
     def from_dict(content: Mapping[str, Any]) -> ImportReport:
-        """Report from the fact "import" of a recording's metadata.
+        """Report from the entry "import" in a recording's metadata.
 
         Args:
-            content: Value of the fact.
+            content: Value of the entry.
         """
         return from_json_values(ImportReport, content, {})  # type: ignore[no-any-return]
 
@@ -231,7 +236,7 @@ class ImportReport:
         return (*self._clock_diagnostics(), *self._signal_diagnostics())
 
     def _clock_diagnostics(self) -> Iterator[Diagnostic]:
-        """Yield diagnostics of incomplete last samples, jitter above 0.1, and gaps, by source."""
+        """Yield diagnostics of incomplete last samples, jitter above 0.1, and gaps, per source."""
         for name, clock in self.clocks.items():
             if clock.cut:
                 yield make_diagnostic("import.incomplete", name, clock.samples)
@@ -257,10 +262,10 @@ class ImportReport:
                 yield make_diagnostic("import.gaps", name, clock.longest_gap, gaps=gaps)
 
     def _signal_diagnostics(self) -> Iterator[Diagnostic]:
-        """Yield diagnostics of repeated samples, and the reports' own diagnostics, by signal.
+        """Yield diagnostics of repeated samples, and the report's own diagnostics, for each signal.
 
-        Repeated samples are reported above a share of 0.05, if none were omitted; temperatures are
-        exempt.
+        Repeated samples are reported if their share exceeds 0.05 and no samples were omitted;
+        temperatures are exempt.
         """
         for name, signal in self.signals.items():
             if (
@@ -275,7 +280,7 @@ class ImportReport:
 
 
 def _clock_line(name: str, clock: ClockReport) -> str:
-    """Line of text on the clock of a source: samples, rate, jitter and gaps."""
+    """Line of text about the clock of a source: samples, rate, jitter and gaps."""
     gaps = (
         f"{count_with_noun(clock.gaps, 'gap')}, the longest {clock.longest_gap:.3g} s"
         if clock.gaps

@@ -1,4 +1,4 @@
-"""Column layouts of known loggers: signals and units that the names alone do not state.
+"""Column layouts of known loggers: signals and units that column names alone do not state.
 
 To add a logger, add a table to `loggers.toml`.
 """
@@ -24,14 +24,14 @@ class LoggerLayout:
 
     Attributes:
         logger: Name of the logger.
-        signals: Expression for the joints' columns, and their unit, by signal.
-        mark: Expression for another column by which the logger is recognised.
-        beside: Expression for columns whose names resemble a signal of joints or plate, but which
-            are no such signal.
-        time: Expression for the time column, or for the columns of seconds and of nanoseconds;
-            empty if the time column is chosen by its name.
+        signals: Regular expression for the joints' columns, and their unit, keyed by signal.
+        mark: Regular expression for another column that identifies the logger.
+        beside: Regular expression for columns whose names resemble a signal of joints or plate, but
+            which hold other quantities.
+        time: Regular expression for the time column, or for the columns of seconds and of
+            nanoseconds; empty if the time column is chosen by its name.
         unit: Unit of the times.
-        rate: Sampling rate of a logger without times [Hz].
+        rate: Sampling rate of a logger that records no times [Hz].
     """
 
     logger: str
@@ -56,7 +56,9 @@ class LoggerLayout:
         )
 
     def time_columns(self, columns: Sequence[str]) -> list[str]:
-        """Columns of a table that match `time`; empty unless all its expressions match.
+        """Columns of a table that match the expressions of `time`.
+
+        The list is empty unless every expression matches a column.
 
         Args:
             columns: Column names of the table.
@@ -77,9 +79,10 @@ class LoggerLayout:
         return tuple(self._interpreted_column(column) for column in columns)
 
     def _interpreted_column(self, column: ColumnName) -> ColumnName:
-        """Column with the signal and unit that this logger gives to its name.
+        """Column with the signal and unit that this logger assigns to the column's name.
 
-        Other columns lose their signal if it is one of joints, or if `beside` matches the name.
+        Any other column loses its signal if that is a joint quantity, or if `beside` matches the
+        name.
         """
         for kind, (pattern, unit) in self.signals.items():
             if re.fullmatch(pattern, column.name):
@@ -95,7 +98,7 @@ class LoggerLayout:
 
 
 def _layout(table: dict[str, Any]) -> LoggerLayout:
-    """Layout from a table of `loggers.toml`; {K} in its patterns stands for the joint's number."""
+    """Layout from a table of `loggers.toml`; {K} in a pattern stands for the joint's number."""
     signals = {
         kind: (pattern.replace("{K}", JOINT_NUMBER), unit)
         for kind, (pattern, unit) in table["signals"].items()
@@ -109,7 +112,7 @@ LAYOUTS = tuple(map(_layout, read_table("loggers")["loggers"]))
 
 
 def layout_of_logger(columns: Sequence[str]) -> LoggerLayout | None:
-    """First layout of `LAYOUTS` that matches a table's columns; None if no layout does.
+    """First layout of `LAYOUTS` that matches a table's columns; None if no layout matches.
 
     Args:
         columns: Column names of a table.

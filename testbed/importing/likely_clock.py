@@ -38,16 +38,17 @@ MAX_TRIED_COLUMNS = 3
 
 @dataclass(frozen=True)
 class LikelyClock:
-    """Time column of a source, unit and sampling rate.
+    """Time column of a source, with unit and sampling rate.
 
     Attributes:
         column: Time column; None if no column resembles times.
         unit: Unit of the times; None if unknown.
         is_unit_stated: True if the file itself states the unit.
-        rate: Sampling rate [Hz], or per unit of the column if the unit is unknown, with as few
-            digits as the stamps allow; 0 if unknown.
-        rate_evidence: Evidence for unit or rate, if neither the file nor a name states it.
-        coarseness_evidence: Evidence that the clock is coarser than the sampling; else empty.
+        rate: Sampling rate [Hz], or samples per unit of the column if the unit is unknown, with as
+            few digits as the stamps allow; 0 if unknown.
+        rate_evidence: Evidence for the unit or rate, if neither the file nor a name states it.
+        coarseness_evidence: Evidence that the clock is coarser than the sampling; empty if it is
+            not.
     """
 
     column: str | None
@@ -59,7 +60,7 @@ class LikelyClock:
 
     @property
     def seconds_per_unit(self) -> float | None:
-        """Seconds in one unit of the times of method `time`; None if unknown."""
+        """Seconds in one unit of the times that method `time` returns; None if unknown."""
         if self.column is None:
             return 1 / self.rate if self.rate else None
         return None if self.unit is None else 1.0
@@ -67,8 +68,8 @@ class LikelyClock:
     def time(self, table: ForeignTable, samples: int) -> Array:
         """Sample times, (M,) [s].
 
-        Without a time column, times are sample numbers; if the unit is unknown, they are in the
-        column's unit. Times of a coarse clock are on the line of `fit_time_line`.
+        Without a time column, the times are sample numbers; if the unit is unknown, they are in the
+        column's unit. The times of a coarse clock are those on the line of `fit_time_line`.
 
         Args:
             table: Table with the time column.
@@ -88,10 +89,10 @@ class LikelyClock:
     def with_unit_by_velocity(self, seconds: float) -> LikelyClock:
         """Clock with the unit or rate that follows from velocities and positions.
 
-        The known unit of nearest size is taken; without a time column, the rate.
+        The known unit nearest in size is taken; without a time column, the rate is set instead.
 
         Args:
-            seconds: Seconds in one unit of the times of method `time`.
+            seconds: Seconds in one unit of the times that method `time` returns.
         """
         because = "by velocity and position"
         if self.column is None:
@@ -127,14 +128,15 @@ def find_clock(
 ) -> LikelyClock:
     """Find the time column of a table, with unit and sampling rate.
 
-    Columns with a unit of time or a word of `TIME_WORDS` are tried in the order of these words; the
-    first is taken whose steps are positive for more than half, or whose repeated stamps are on a
-    line. A known layout replaces this choice by its own columns or rate.
+    Columns with a unit of time or a word of `TIME_WORDS` are tried in the order of these words. The
+    first column is taken in which more than half of the steps are positive, or in which stamps
+    repeat because the clock is coarse but lie on a line. A known layout replaces this choice by its
+    own columns or rate.
 
     Args:
         table: Table of a file of another program.
-        layout: Layout of the logger, if it is known.
-        rows: Mask of the samples that count, (M,); default: all.
+        layout: Layout of the logger; None if unknown.
+        rows: Mask of the samples to be used, (M,); default: all.
     """
     time_columns = layout.time_columns(table.columns) if layout else []
     if layout and (layout.rate or len(time_columns) > 1):
@@ -201,7 +203,8 @@ def find_clock(
 def time_word_rank(column: str) -> int:
     """Rank of a column name among time columns, from 0 for the most likely word.
 
-    The rank is the number of words if the name resembles no time, and one less with a unit of time.
+    A name without a word for time ranks last: its rank is the number of words, or one lower if the
+    name has a unit of time.
     """
     name = column.lower().rpartition("/")[2]
     for k, word in enumerate(TIME_WORDS):
@@ -236,7 +239,7 @@ def sampling_rate(stamps: Array | NDArray[np.int64]) -> float:
 
 
 def shortest_decimal(value: float, relative_error: float) -> float:
-    """Number of fewest digits within a relative error of a value.
+    """Number with the fewest digits within a relative error of a value.
 
     Args:
         value: Number to be rounded.
@@ -254,8 +257,9 @@ def _time_unit(
 ) -> tuple[str | None, str]:
     """Unit of times, and the evidence for it; None and "" if unknown.
 
-    The unit is taken from the column's name (without evidence), else from the size of the stamps
-    (1e9 to 3e9 s since 1970), else from their steps, if one unit alone gives 20 to 10 000 Hz.
+    The unit is taken from the column's name (without evidence), or else from the size of the stamps
+    (1e9 to 3e9 s since 1970), or else from their steps, if exactly one unit gives a sampling rate
+    of 20 to 10 000 Hz.
     """
     words = [canonical_unit(word) for word in re.findall(r"[A-Za-zµ]+", column)]
     named_units = [

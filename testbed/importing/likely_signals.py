@@ -59,10 +59,10 @@ class LikelySignal:
         other_columns: Names of other columns that resemble the signal.
         units: Unit of each column; None if unknown.
         sign: Sign of each column, 1 or -1; empty if all are positive.
-        unit_evidence: Evidence for the units, if not the columns' names.
-        counts_per_turn: Counts in a turn, if the columns are integers of a servo; else 0.
-        column_evidence: Evidence that the columns are the signal, if not their names.
-        sign_bit: Smallest value with the sign bit set; 0 without a sign bit.
+        unit_evidence: Evidence for the units, if the column names do not state them.
+        counts_per_turn: Counts per turn if the columns are integers of a servo; otherwise 0.
+        column_evidence: Evidence that the columns are the signal, if their names do not state it.
+        sign_bit: Smallest value with the sign bit set; 0 if there is no sign bit.
     """
 
     source: LikelySource
@@ -95,11 +95,11 @@ def _signals_with_source(
 def find_signals(
     sources: Sequence[LikelySource], joints: Sequence[str]
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Columns that most likely belong to the joints, by signal.
+    """Columns that most likely belong to the joints, keyed by signal.
 
-    Columns are chosen by their names (`likeliest_group`), else by their values: velocities are
-    derivatives of positions, torques the only other columns. Units that names do not state, and
-    signs, follow from the values.
+    Columns are chosen by their names (`likeliest_group`), or else by their values: velocities are
+    the derivatives of positions, and torques are the only remaining columns. Signs, and units that
+    names do not state, follow from the values.
 
     Args:
         sources: Sources whose columns are searched.
@@ -142,7 +142,7 @@ def find_signals(
 def _with_clock_of_position_rows(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signals with the clock of the rows that hold positions, if other rows do not."""
+    """Signals with a clock found from only the rows that contain positions."""
     if (q := signals.get("position")) is None:
         return signals
     finite = np.isfinite(signal_values(q))
@@ -161,9 +161,9 @@ def _with_clock_of_position_rows(
 def _with_raw_loads(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signals whose torques, if whole numbers without a unit, have the unit "raw".
+    """Signals with unit "raw" for torques that are whole numbers without a unit.
 
-    A sign bit is detected (`detected_sign_bit`).
+    `detected_sign_bit` determines their sign bit.
     """
     if (tau := signals.get("torque")) is None or any(tau.units):
         return signals
@@ -210,9 +210,9 @@ def _signals_without_names(
 ) -> Iterator[tuple[JointQuantity, LikelySource, ColumnGroup, str]]:
     """Yield signals that names do not state: velocities by integration, torques by elimination.
 
-    Candidates are groups with a column for each joint: unnamed signals, and forces without an axis.
-    Pairs for which `_is_derivative` holds are position and velocity; a single other group is the
-    torque.
+    Candidates are groups with a column for each joint, either without a named signal or named as
+    forces without an axis. A pair that passes `_is_derivative` is position and velocity; if a
+    single other group remains, it is the torque.
     """
     known = next(iter(signals.values()), None)
     count = len(known.group.columns) if known else len(joints)
@@ -260,7 +260,10 @@ def _signals_without_names(
 def _velocity_fit(
     source: LikelySource, position: ColumnGroup, velocity: ColumnGroup
 ) -> DerivativeRegression:
-    """Regress increments of positions on integrals of velocities; zeros if shapes differ."""
+    """Regress increments of positions on integrals of velocities.
+
+    All values are zero if the shapes differ.
+    """
     values, rates = (source.group_values(group) for group in (position, velocity))
     time = source.clock.time(source.table, len(values))
     same_shape = values.shape == rates.shape and len(values) == len(time)
@@ -291,10 +294,10 @@ def _has_kind(column: ColumnName, kind: str) -> bool:
 
 
 def _velocity_slopes(signals: Mapping[JointQuantity, LikelySignal]) -> Array | None:
-    """Slopes of position increments over velocity integrals, (n,), in the units of the file.
+    """Slopes of position increments as a function of velocity integrals, (n,), in the file's units.
 
-    Slopes with an explained variance of at most 0.9 are nan. None if all are nan, or position or
-    velocity is missing.
+    Slopes with an explained variance of at most 0.9 are nan. The result is None if all slopes are
+    nan, or if position or velocity is missing.
     """
     q, v = signals.get("position"), signals.get("velocity")
     if q is None or v is None or q.source is not v.source or q.counts_per_turn:
@@ -307,10 +310,10 @@ def _velocity_slopes(signals: Mapping[JointQuantity, LikelySignal]) -> Array | N
 def _with_derivative_units(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signals with signs, units and clock by regression of positions on integrated velocities.
+    """Signals with signs, units and clock from a regression of positions on velocity integrals.
 
-    Negative slopes give signs of velocities. The size of the slopes gives the clock's unit or rate
-    if it is unknown, else missing units of positions and velocities.
+    Negative slopes determine the signs of velocities. The size of the slopes determines the clock's
+    unit or rate if it is unknown, and otherwise missing units of positions and velocities.
     """
     slope = _velocity_slopes(signals)
     if slope is None:
@@ -346,10 +349,10 @@ def _with_derivative_units(
 
 
 def _unit_pair(position: str | None, velocity: str | None, ratio: float) -> _UnitPair:
-    """Units of position and velocity by the slope of their regression.
+    """Units of position and velocity from the slope of their regression.
 
-    The ratio is the slope of position increments over velocity integrals, in the units of the file.
-    If both units are unknown, only deg with rad/s is recognised.
+    The ratio is the slope of position increments as a function of velocity integrals, in the units
+    of the file. If both units are unknown, only deg with rad/s is recognised.
     """
     if position in UNITS_BY_QUANTITY["position"] and velocity is None:
         return position, unit_of_size(
@@ -369,7 +372,7 @@ def _unit_pair(position: str | None, velocity: str | None, ratio: float) -> _Uni
 
 
 def _with_units(signal: LikelySignal, units: Sequence[str | None]) -> LikelySignal:
-    """Signal in other units, with the evidence."""
+    """Signal with other units, and the evidence for a change."""
     unchanged = tuple(units) == signal.units
     return (
         signal
@@ -381,11 +384,11 @@ def _with_units(signal: LikelySignal, units: Sequence[str | None]) -> LikelySign
 def _with_position_units_by_size(
     signals: Mapping[JointQuantity, LikelySignal],
 ) -> Mapping[JointQuantity, LikelySignal]:
-    """Signals with the unit of positions by their size: degrees, or counts of a servo.
+    """Signals with the position unit deduced from the values: degrees, or counts of a servo.
 
-    Whole numbers from 0 with a largest of 1000 to 4095 are counts. A largest value between 4 pi and
-    720, but not near 100 (per cent), is in degrees. Units stated by names are kept, unless a known
-    logger's positions exceed 4 pi.
+    Non-negative whole numbers with a maximum of 1000 to 4095 are counts. Values with a maximum
+    between 4 pi and 720, but not near 100 (per cent), are in degrees. Units stated by names are
+    kept, unless positions of a known logger exceed 4 pi.
     """
     if (q := signals.get("position")) is None:
         return signals
@@ -425,16 +428,16 @@ def find_plates(
 ) -> list[tuple[str, LikelySource, list[ColumnName]]]:
     """Columns of the force plates, preferably of plates with six columns.
 
-    Plates that a file describes are taken, else all plates of six columns that are no sensor at the
-    tool. Without such plates, the first sensor of six columns is taken or, without torques, the
-    first plate of any width.
+    Plates that a file describes are preferred, then all plates with six columns that are not
+    sensors at the tool. If there are none, the first sensor with six columns is taken or, if there
+    are no torques, the first plate with any number of columns.
 
     Args:
         sources: Sources whose columns are searched.
         signals: Signals of the joints, whose columns are excluded.
 
     Returns:
-        Words that distinguish the plate, source and columns of each plate.
+        Words that distinguish the plate, source and columns, for each plate.
     """
     if plates := [each for source in sources for each in _stated_plates(source)]:
         return plates
@@ -464,7 +467,7 @@ def _stated_plates(
 ) -> Iterator[tuple[str, LikelySource, list[ColumnName]]]:
     """Yield plates that the file describes, without unloaded plates.
 
-    A plate is unloaded if its forces range over less than 2 % of the largest plate's range.
+    A plate is unloaded if the range of its forces is less than 2 % of the largest range of a plate.
     """
     table, by_name = source.table, {each.name: each for each in source.columns}
     plates = [each for each in table.plates if by_name.keys() >= set(each.columns)]

@@ -36,7 +36,7 @@ class LikelySource:
         table: Columns of the file.
         columns: Parsed column names without the time column.
         clock: Likely clock.
-        logger: Name of the logger, if its column layout is known; else empty.
+        logger: Name of the logger if its column layout is known; otherwise empty.
     """
 
     name: str
@@ -57,14 +57,14 @@ class LikelySource:
 
 
 def find_sources(paths: Sequence[Path]) -> list[LikelySource]:
-    """Tables of foreign files with the likely clocks, and signals by the columns' names.
+    """Tables of foreign files, with likely clocks and with signals according to column names.
 
     Args:
-        paths: Files; each topic of a bag that holds numbers is a table.
+        paths: Files; in a bag, each topic that contains numbers is a separate table.
 
     Raises:
         RecordingError: A file cannot be read.
-        UnknownName: A file has an unknown ending.
+        UnknownName: A file has an unknown extension.
     """
     sources: list[LikelySource] = []
     stems: list[str] = []
@@ -80,9 +80,9 @@ def find_sources(paths: Sequence[Path]) -> list[LikelySource]:
 
 
 def _with_signal_of_file_name(source: LikelySource) -> LikelySource:
-    """Source whose columns get the signal that the file's name states, as torque.csv.
+    """Source whose columns get the signal that the file name states, for example torque.csv.
 
-    The source is unchanged if the name of any column states a signal; columns with a unit or wrench
+    The source is unchanged if any column name states a signal. Columns with a unit or wrench
     component are unchanged.
     """
     kind = parse_column_name(source.file.name.partition(".")[0]).kind
@@ -101,9 +101,9 @@ def _with_signal_of_file_name(source: LikelySource) -> LikelySource:
 
 
 def _file_sources(path: Path, name: str) -> Iterator[LikelySource]:
-    """Yield sources of a file: a table for each topic and number of samples.
+    """Yield sources of a file: a separate table for each topic and number of samples.
 
-    Unreadable topics are left out; if all are unreadable, the first error is raised.
+    Unreadable topics are omitted; if all topics are unreadable, the first error is raised.
     """
     entries = read_tables(path)
     readable_tables = {
@@ -128,7 +128,7 @@ def _likely_source(
 ) -> LikelySource:
     """Source of a table, with the likely clock and parsed names of other columns.
 
-    Columns whose name states a signal are left out if they hold no finite number.
+    A column whose name states a signal is omitted if it contains no finite number.
     """
     layout = layout_of_logger(table.columns)
     clock = find_clock(table, layout)

@@ -1,7 +1,7 @@
 """Content of a mapping file: columns of foreign files that become signals of a recording.
 
-TOML. Units, the sense of the wrench, the clock of each source and the rate of the recording have no
-default. An unknown key is an error.
+The file is in TOML format. Units, the sense of the wrench, the clock of each source and the rate of
+the recording have no default. An unknown key is an error.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from testbed.importing.foreign_table import JOINT_QUANTITIES, check_unit, is_len
 
 
 def _printable(name: str) -> str:
-    """Name unchanged, if all characters are printable.
+    """Return a name unchanged if all its characters are printable.
 
     Raises:
         ValueError: A character is not printable.
@@ -87,10 +87,11 @@ class SourceTable(MappingTable):
 
     @model_validator(mode="after")
     def _check_clock(self) -> SourceTable:
-        """Check that a source has one clock, and a valid file name.
+        """Check that a source has at most one clock, and a valid file name.
 
         Raises:
-            ValueError: Both clocks are stated, or keys belong to another clock.
+            ValueError: Both clocks are stated, a key belongs to the other clock, or the file name
+                is not valid.
         """
         if self.time is not None and self.rate is not None:
             raise ValueError(
@@ -106,7 +107,7 @@ class SourceTable(MappingTable):
 class GearTable(MappingTable):
     """Gear between motors and joints: motor positions are a matrix times joint positions.
 
-    Power is the same on both sides.
+    Power is equal on both sides.
     """
 
     ratio: Numbers | None = None
@@ -119,7 +120,7 @@ class GearTable(MappingTable):
         """Check that the gear has a ratio or an invertible square matrix.
 
         Raises:
-            ValueError: The gear has both or none, or the matrix is singular or not square.
+            ValueError: The gear has both or neither, or the matrix is singular or not square.
         """
         if (self.ratio is None) == (self.matrix is None):
             raise ValueError("a gear has a `ratio` or a `matrix`, one of them")
@@ -235,7 +236,8 @@ class WrenchTable(SixAxisTable):
     def static_wrench(self, gravity: Sequence[float] | None) -> Array | None:
         """Share of the wrench on the robot that other bodies cause, (6,) [N, N m].
 
-        Bedplate's frame and origin. None stands for the wrench of the model's pedestal.
+        It is in the bedplate's frame, about its origin. None stands for the wrench of the model's
+        pedestal.
 
         Args:
             gravity: Gravity in the bedplate's frame, (3,) [m/s^2]; None for gravity along -z.
@@ -251,7 +253,7 @@ class WrenchTable(SixAxisTable):
 
 
 class BaseTable(MappingTable):
-    """Measured pose of a moving base: frame of the model's root link on the ground."""
+    """Measured pose of a moving base: root link's frame in the ground's frame."""
 
     source: str
     """Name of the source."""
@@ -312,7 +314,7 @@ class Mapping(MappingTable):
 
     @property
     def wrench_and_base_tables(self) -> dict[str, AnyTable]:
-        """Tables that are not measured joint by joint: wrench, plates.NAME, sensors.NAME, base."""
+        """Tables of signals other than joint signals: wrench, plates.NAME, sensors.NAME, base."""
         tables: dict[str, AnyTable | None] = {
             f"plates.{k}": t for k, t in self.plates.items()
         }
@@ -322,7 +324,7 @@ class Mapping(MappingTable):
 
     @property
     def joint_signal_tables(self) -> dict[str, SignalTable]:
-        """Tables of signals that are measured joint by joint, by signal."""
+        """Tables of signals that are measured at each joint, keyed by signal."""
         tables = {
             kind: getattr(self, kind) for kind in (*JOINT_QUANTITIES, "temperature")
         }
@@ -330,7 +332,7 @@ class Mapping(MappingTable):
 
     @property
     def all_signal_tables(self) -> dict[str, AnyTable]:
-        """Tables of all signals, by label in the file."""
+        """Tables of all signals, keyed by label in the file."""
         return {**self.joint_signal_tables, **self.wrench_and_base_tables}
 
     @model_validator(mode="after")
@@ -338,7 +340,7 @@ class Mapping(MappingTable):
         """Check that the tables agree in joints, lengths, units and sources.
 
         Raises:
-            ValueError: Two tables disagree, or a signal is missing.
+            ValueError: Tables disagree, or a signal is missing.
         """
         n = len(self.joints)
         if len(set(self.joints)) < n:
@@ -398,11 +400,11 @@ def read_mapping(path: Path) -> Mapping:
 
 
 def empty_keys(content: object, place: tuple[str, ...] = ()) -> Iterator[str]:
-    """Dotted names of keys with empty values, as in a draft of a mapping file.
+    """Yield dotted names of keys with empty values, as in a draft mapping file.
 
     Args:
-        content: Content of the file, or of a part.
-        place: Keys that lead to the part.
+        content: Content of the file or of a table in it.
+        place: Keys that lead to the table.
     """
     if isinstance(content, dict):
         for key, value in content.items():
@@ -415,7 +417,7 @@ def empty_keys(content: object, place: tuple[str, ...] = ()) -> Iterator[str]:
 
 
 def source_paths(path: Path) -> list[Path]:
-    """Paths of the files that a mapping file names.
+    """Paths of the source files of a mapping file.
 
     Args:
         path: Mapping file.
@@ -472,7 +474,7 @@ def _check_wrench(table: SixAxisTable) -> None:
     """Check lengths of lists and units in the table of a wrench.
 
     Raises:
-        ValueError: Lengths or units do not fit, or a tare is beside a pedestal.
+        ValueError: Lengths or units do not fit, or both a tare and a pedestal are stated.
     """
     check_unit("force", table.units[0])
     check_unit("moment", table.units[1])

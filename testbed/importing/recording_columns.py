@@ -30,7 +30,11 @@ from testbed.importing.signal_maps import (
 
 
 def used_columns(mapping: Mapping) -> dict[str, list[str]]:
-    """Names of the columns that signals use, by source; RecordingError for an unused source."""
+    """Names of the columns that signals use, keyed by source.
+
+    Raises:
+        RecordingError: A source is not used by any signal.
+    """
     columns: dict[str, list[str]] = {}
     for table in mapping.all_signal_tables.values():
         columns.setdefault(table.source, []).extend(table.columns)
@@ -43,11 +47,11 @@ def used_columns(mapping: Mapping) -> dict[str, list[str]]:
 def signal_columns(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
     """Columns of the recording from one signal's raw values on the grid, (L,) each.
 
-    They are in SI units, named SIGNAL/MEMBER, where members are joints or components.
+    They are in SI units and are named SIGNAL/MEMBER, where members are joints or components.
 
     Args:
         mapping: Content of the mapping file.
-        label: Label of the signal's table in the mapping, as "torque" or "plates.NAME".
+        label: Label of the signal's table in the mapping, for example "torque" or "plates.NAME".
         raw: Values in the units of the file, (L, k).
     """
     table = mapping.all_signal_tables[label]
@@ -66,9 +70,9 @@ def signal_columns(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]
 def recording_metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     """Metadata of the recording's file: "tare" and "facts".
 
-    The tare is the sum of the plates' static wrenches, 6 numbers [N, N m]; None stands for that of
-    the model's pedestal. The facts are report, mapping, diagnostics, sensors, kinds of joints and
-    torques, and gravity, as far as they are not empty.
+    The tare is the sum of the plates' static wrenches, six numbers [N, N m]; None stands for the
+    static wrench of the model's pedestal. The entry "facts" holds report, mapping, diagnostics,
+    sensors, kinds of joints and torques, and gravity; empty values are omitted.
     """
     metadata = {
         "import": to_json_values(report),

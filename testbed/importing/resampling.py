@@ -31,8 +31,8 @@ oscillate between uneven samples."""
 def filter_half_length(source_rate: float, rate: float) -> float:
     """Half length of the low-pass filter [s].
 
-    It is 0, as there is no filter, for source rates up to 1.01 times the grid's. The filtered
-    signal is shorter than the source by this time at both ends.
+    The filtered signal is shorter than the source by this time at both ends. The half length is 0
+    for source rates up to 1.01 times the rate of the grid, which need no filter.
 
     Args:
         source_rate: Sampling rate of the source [Hz].
@@ -49,9 +49,9 @@ def resample_to_grid(
 ) -> Array:
     """Signal at the instants of a uniform grid, (L, k).
 
-    A source that is faster than the grid is low-passed (linear-phase FIR filter, passband to 0.7
-    Nyquist frequencies of the grid); a spline interpolates. Samples that coincide with all grid
-    times are returned unchanged.
+    A source that is faster than the grid is first low-pass filtered by a linear-phase FIR filter,
+    with a passband up to 0.7 times the Nyquist frequency of the grid; a spline then interpolates
+    the signal. Samples that coincide with all grid times are returned unchanged.
 
     Args:
         time: Sample times, increasing, (M,) [s].
@@ -89,7 +89,7 @@ def resample_to_grid(
 def _interpolating_spline(
     time: Array, values: Array, is_even: bool
 ) -> Callable[[Array], Array]:
-    """Interpolating spline of a signal, of degree 5 for even samples, else 3."""
+    """Interpolating spline of a signal, of degree 5 for evenly spaced samples and 3 otherwise."""
     from scipy.interpolate import make_interp_spline
 
     spline: Callable[[Array], Array] = make_interp_spline(
@@ -111,7 +111,7 @@ def _kaiser_design(source_rate: float, rate: float) -> tuple[int, float]:
 def _low_passed(
     values: Array, time: Array, source_rate: float, rate: float
 ) -> tuple[Array, Array]:
-    """Low-passed signal and times, without the ends that the filter does not cover."""
+    """Low-pass filtered signal and its times, without the ends that the filter does not cover."""
     from scipy.signal import firwin, oaconvolve
 
     taps, beta = _kaiser_design(source_rate, rate)
@@ -130,9 +130,10 @@ def spline_to_common_rows(time: Array, values: Array) -> tuple[NDArray[np.intp],
         values: Values, (M, k); nan where a row belongs to another device.
 
     Returns:
-        Indices of the common rows, which are those of the column with most values in the interval
-        that all columns cover; and splined values, (M, k), nan in other rows. No row is common if a
-        column has fewer than four values, or a gap above 0.1 s and three sampling intervals.
+        Indices of the common rows, and interpolated values (M, k), nan in other rows. The common
+        rows are those of the column with the most values, within the interval that all columns
+        cover. There are no common rows if a column has fewer than four values, or a gap above 0.1 s
+        and three sampling intervals.
     """
     rows_of_columns = [
         np.flatnonzero(np.isfinite(each) & np.isfinite(time)) for each in values.T

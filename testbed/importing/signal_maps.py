@@ -1,4 +1,4 @@
-"""Signals of joints, plate, force sensors and base from foreign columns, as a mapping states."""
+"""Conversion of foreign columns to signals of joints, plate, force sensors and base."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from testbed.importing.mapping import (
 def joint_signal(
     kind: str, table: SignalTable, gear: GearTable | None, columns: Array
 ) -> Array:
-    """Signal at the joints in SI units, (M, n): G M (gain sign unit x) + offset.
+    """Signal at the joints in SI units, (M, n): `G A (gain sign unit x) + offset`.
 
-    M is the mapping's matrix. G converts from the motors' side, if the signal is measured there:
-    the transposed gear matrix for torques, else the inverse gear matrix.
+    A is the mapping's matrix. G converts a signal measured on the motor side to the joint side: it
+    is the transposed gear matrix for torques, and the inverse gear matrix for other signals.
 
     Args:
-        kind: Quantity, as "position" or "torque".
+        kind: Quantity, for example "position" or "torque".
         table: Table of the signal in the mapping.
-        gear: Gear between motors and joints; None if there is none.
+        gear: Gear between motors and joints; None if there is no gear.
         columns: Values x in the units of the file, (M, k).
     """
     scale = np.array([unit_size(kind, unit) for unit in table.units])
@@ -72,17 +72,17 @@ def without_sign_bit(values: Array, bit: int) -> Array:
     """Signed values of integers in sign-magnitude form.
 
     Args:
-        values: Integers that are not negative.
-        bit: Value of the sign bit, of `SIGN_BITS`.
+        values: Non-negative integers.
+        bit: Value of the sign bit, an element of `SIGN_BITS`.
     """
     return np.where(values >= bit, bit - values, values)
 
 
 def detected_sign_bit(values: Array) -> int:
-    """Sign bit of integers, by the continuity of the signal; 0 without a sign bit.
+    """Sign bit of integers, detected from the continuity of the signal; 0 if not detected.
 
-    The highest bit, if in `SIGN_BITS`, is taken as a sign if this reduces the sum of the squared
-    differences from sample to sample to less than half.
+    The highest bit is taken as the sign bit if it is in `SIGN_BITS` and this interpretation more
+    than halves the sum of the squared differences between successive samples.
 
     Args:
         values: All columns of a signal, (M, k).
@@ -99,7 +99,7 @@ def detected_sign_bit(values: Array) -> int:
 
 
 def torques_with_sign(table: SignalTable, values: Array) -> Array:
-    """Torques in units of the file, signed by the mapping's sign bit, (M, k).
+    """Torques in units of the file, signed according to the mapping's sign bit, (M, k).
 
     Args:
         table: Table of the torques in the mapping.
@@ -120,8 +120,8 @@ def torques_with_sign(table: SignalTable, values: Array) -> Array:
 def wrench_from_columns(table: SixAxisTable, columns: Array) -> Array:
     """Wrench on the robot, or on the links beyond a force sensor, (M, 6) [N, N m].
 
-    It is in the bedplate's frame, or in the frame of the first link beyond the sensor, about the
-    origin of that frame.
+    It is expressed in the bedplate's frame, or in the frame of the first link beyond the sensor,
+    about the origin of that frame.
 
     Args:
         table: Table of the wrench in the mapping.
@@ -144,7 +144,7 @@ def continuous_quaternions(quaternions: Array) -> Array:
     """Quaternions of the same orientations without jumps of sign, (M, 4).
 
     Args:
-        quaternions: Quaternions sample by sample, (M, 4); q and -q are the same orientation.
+        quaternions: Quaternions of successive samples, (M, 4); q and -q are the same orientation.
     """
     products = np.einsum("mi,mi->m", quaternions[1:], quaternions[:-1])
     signs = np.cumprod(np.where(products < 0, -1.0, 1.0))
@@ -154,7 +154,7 @@ def continuous_quaternions(quaternions: Array) -> Array:
 def base_pose_from_columns(table: BaseTable, columns: Array) -> Array:
     """Position [m] and unit quaternion (w, x, y, z) of a moving base, (M, 7).
 
-    It is the pose of the root link's frame in the ground's frame.
+    The pose is that of the root link's frame in the ground's frame.
 
     Args:
         table: Table of the base in the mapping.
@@ -174,7 +174,7 @@ def base_pose_from_columns(table: BaseTable, columns: Array) -> Array:
 
 
 def joint_kinds(table: SignalTable, joints: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Kind of each joint, revolute or prismatic, by the unit of its position.
+    """Kind of each joint, revolute or prismatic, according to the unit of its position.
 
     The dictionary has the form of a recording's metadata; it is empty if a matrix mixes columns
     with units of both kinds.
@@ -201,8 +201,8 @@ EFFORT_OF_UNIT = {"pwm": "pwm", "A": "current", "mA": "current"}
 def torque_quantities(mapping: Mapping) -> dict[str, str]:
     """Measured quantity of each joint's torque: "current", "pwm", "motor" or "torque".
 
-    The unit states current and pwm; otherwise the side of the gear decides between torques of motor
-    and joint. If a matrix mixes the columns, the unit of the first column counts.
+    Current and pwm follow from the unit; otherwise the side of the gear decides between motor
+    torque and joint torque. If a matrix mixes the columns, the unit of the first column decides.
 
     Args:
         mapping: Content of the mapping file.
@@ -222,7 +222,7 @@ def torque_quantities(mapping: Mapping) -> dict[str, str]:
 def check_stated_units(label: str, table: AnyTable, file: ForeignTable) -> None:
     """Refuse a mapping whose units differ from the units that the file states.
 
-    Columns that `gain` or the matrix of a wrench converts are not compared.
+    Columns that are converted by `gain` or by the matrix of a wrench are not compared.
 
     Args:
         label: Label of the table in the mapping.
@@ -230,7 +230,7 @@ def check_stated_units(label: str, table: AnyTable, file: ForeignTable) -> None:
         file: Table of the foreign file with the columns.
 
     Raises:
-        RecordingError: Two units differ.
+        RecordingError: A unit in the mapping differs from the unit in the file.
     """
     if isinstance(table, BaseTable):
         kinds, units = ["position"] * 3, [table.unit] * 3

@@ -35,9 +35,10 @@ MAX_SAMPLING_TIME, MIN_SAMPLING_TIME = 1e9, 1e-9
 
 
 def longest_interpolated_gap(table: SourceTable, typical: float) -> float:
-    """Longest gap between samples that splines interpolate [s].
+    """Longest gap between samples that is interpolated by a spline [s].
 
-    It is `max_gap` of the mapping, else 0.1 s, or three sampling intervals if that is longer.
+    It is `max_gap` of the mapping if stated; otherwise it is the larger of 0.1 s and three sampling
+    intervals.
 
     Args:
         table: Table of the source in the mapping.
@@ -52,15 +53,16 @@ class ClockReport:
 
     Attributes:
         samples: Number of samples used.
-        rate: Sampling rate by the median interval [Hz].
+        rate: Sampling rate, the reciprocal of the median interval [Hz].
         jitter: Standard deviation of the intervals without gaps, relative to the median interval.
         gaps: Number of intervals longer than 1.5 sampling intervals.
         longest_gap: Longest interval [s].
-        repeated: Number of samples omitted because time stamp and values equal the sample before.
+        repeated: Number of samples omitted because they repeat time stamp and values of the sample
+            before.
         lead: Time from the first sample of the source to time zero of the recording [s].
         cut: True if an incomplete last sample was omitted.
         even: True if the stamps agree with a constant rate.
-        missing: Number of samples missing in the gaps, or without numbers.
+        missing: Number of samples that are missing in the gaps or have no numeric value.
     """
 
     samples: int
@@ -77,10 +79,10 @@ class ClockReport:
 
 @dataclass(frozen=True, eq=False)
 class SourceTimes:
-    """Sample times by the clock of a source.
+    """Sample times of a source according to its own clock.
 
-    Seconds since 1970 with nanoseconds have more digits than floating-point numbers, so times have
-    two parts.
+    Seconds since 1970 with nanoseconds have more digits than a floating-point number can hold, so a
+    time is stored as the sum of two numbers.
 
     Attributes:
         start: Time of the first sample, rounded towards zero to whole minutes [s].
@@ -115,11 +117,11 @@ def times_from_common_origin(
 ) -> dict[str, Array]:
     """Times of several sources from a common origin, (M,) each [s].
 
-    The origin is the earliest first sample, rounded to whole minutes, and at least zero.
+    The origin is the earliest first sample, rounded to whole minutes, and is not negative.
 
     Args:
-        times: Times by the sources' own clocks.
-        offsets: Time added to each source's times [s].
+        times: Times according to the sources' own clocks, keyed by source.
+        offsets: Time added to each source's times [s], keyed by source.
     """
     starts = (
         each.start + MINUTE * (offsets[name] // MINUTE) for name, each in times.items()
@@ -141,7 +143,7 @@ def sample_times(
         name: Name of the source.
         table: Table of the source in the mapping.
         stamps: Time column of the source, (M,).
-        unit: Unit of the times that the file states; None if it states none.
+        unit: Unit of the times as stated in the file; None if the file states no unit.
 
     Raises:
         RecordingError: No stamp is finite, or the unit is missing or contradicts the file.
@@ -164,19 +166,20 @@ def sample_times(
 def distinct_sample_mask(
     name: str, time: Array, values: Array, *, steady: bool = False
 ) -> NDArray[np.bool_]:
-    """Mask of the samples that do not repeat the sample before, (M,) of bool.
+    """Mask of the samples that do not repeat the previous sample, (M,) of bool.
 
-    A repetition has the time stamp and all values of the sample before. All samples of a steady
-    device are kept if stamps repeat with other values and never decrease: the clock is coarse.
+    A repetition has the time stamp and all values of the previous sample. If stamps of a steady
+    device repeat with different values and never decrease, the clock is coarse, and all samples are
+    kept.
 
     Args:
         name: Name of the source.
         time: Time stamps, (M,) [s].
-        values: All used columns, (M, k).
+        values: All columns in use, (M, k).
         steady: True if the device samples at a constant rate.
 
     Raises:
-        RecordingError: Time does not increase at a sample that is no repetition.
+        RecordingError: Time does not increase at a sample that is not a repetition.
     """
     steps = np.diff(time)
     repeated = (steps == 0) & (values[1:] == values[:-1]).all(axis=1)
@@ -194,14 +197,15 @@ def distinct_sample_mask(
 
 
 def equidistant_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
-    """Equidistant times of stamps with jitter or coarse resolution, (M,) [s].
+    """Equidistant times that replace stamps with jitter or coarse resolution, (M,) [s].
 
-    The line of `fit_time_line` over sample numbers is taken, else the line over row indices.
+    `fit_time_line` fits a line to the stamps as a function of the sample number. If the stamps
+    deviate from it, the line is fitted as a function of the row index.
 
     Args:
         name: Name of the source.
         time: Time stamps, (M,) [s].
-        rows: Row indices of the samples in the file, (M,); rows between are without numbers or
+        rows: Row indices of the samples in the file, (M,); the rows between them hold no numbers or
             belong to another device.
 
     Raises:
@@ -221,17 +225,18 @@ def equidistant_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
 def fit_time_line(time: Array, number: NDArray[Any]) -> tuple[Array, Array, bool]:
     """Fit a line to time stamps, and test the stamps for a constant rate.
 
-    If stamps of a coarse clock repeat, the line is fitted to the stamps at which the clock
-    advances; the rate is constant if deviations span at most two intervals. Else the rate is
-    constant if the deviations' moving average over 101 stamps is at most half an interval.
+    If stamps repeat because the clock is coarse, the line is fitted to the stamps at which the
+    clock advances; the rate is constant if the deviations span at most two intervals. Otherwise the
+    rate is constant if the moving average of the deviations over 101 stamps is at most half an
+    interval.
 
     Args:
         time: Time stamps, (M,) [s].
-        number: Numbers of the samples, (M,), as 0, 1, ....
+        number: Numbers of the samples, (M,), for example 0, 1, ....
 
     Returns:
-        Times along the line (M,) [s], the tested deviations of the stamps from the line [s], and
-        True if a constant rate explains the stamps.
+        Times on the line (M,) [s], the tested deviations of the stamps from the line [s], and True
+        if the stamps agree with a constant rate.
     """
     jumps = np.flatnonzero(np.diff(time) > 0) + 1
     # where a coarse clock advances, the delay is less than one step
@@ -252,7 +257,7 @@ def fit_time_line(time: Array, number: NDArray[Any]) -> tuple[Array, Array, bool
 
 
 def _fitted_line(number: NDArray[Any], time: Array) -> tuple[float, float]:
-    """Slope and intercept of the least-squares line of times over sample numbers.
+    """Slope and intercept of the least-squares line of times as a function of sample numbers.
 
     Both are zero for fewer than two samples.
     """
@@ -266,12 +271,12 @@ def _fitted_line(number: NDArray[Any], time: Array) -> tuple[float, float]:
 def clock_report(
     name: str, table: SourceTable, stamps: Array, time: Array, repeated: int
 ) -> ClockReport:
-    """Report on the time stamps of a source; long gaps are refused.
+    """Report on the time stamps of a source; too long a gap is refused.
 
     Args:
         name: Name of the source.
         table: Table of the source in the mapping.
-        stamps: Time stamps before they were replaced by steady times, (M,) [s].
+        stamps: Time stamps before they were replaced by equidistant times, (M,) [s].
         time: Sample times in use, (M,) [s].
         repeated: Number of repeated samples that were omitted.
 
@@ -327,8 +332,9 @@ def windows_between_gaps(
 ) -> tuple[list[Window], list[Diagnostic]]:
     """Intervals of a window between long gaps of the sources, and diagnostics of the gaps.
 
-    Gaps longer than `longest_interpolated_gap` divide the window; intervals shorter than 1 s are
-    omitted. The whole window is returned, without diagnostics, if no gap or no interval remains.
+    The window is divided at gaps longer than `longest_interpolated_gap`; intervals shorter than 1 s
+    are omitted. If there is no such gap or no interval remains, the whole window is returned
+    without diagnostics.
 
     Args:
         window: Interval to be divided [s].
@@ -375,7 +381,7 @@ def slice_within_gaps(
         source: Table of the source in the mapping.
         time: Sample times, (M,) [s].
         rows: Row indices of the samples in the file, (M,).
-        part: Slice of the samples in the window, and some neighbours.
+        part: Slice of the samples in the window and of some neighbouring samples.
         window: Interval of the recording [s].
     """
     first, stop = part.start, part.stop
@@ -393,8 +399,8 @@ def _gap_intervals(
 ) -> list[Window]:
     """Times of the samples before and after each gap beyond `longest_interpolated_gap` [s].
 
-    Gaps of a steady device are found from row indices, not from stamps: late stamps are no gap, but
-    rows without numbers are.
+    For a steady device, the gaps follow from the row indices instead of the stamps: a late stamp is
+    not a gap, but rows without numbers are.
     """
     steps = np.diff(time)
     if source.steady:

@@ -1,4 +1,4 @@
-"""Removal of sensor errors whose coefficients a mapping states."""
+"""Removal of sensor errors whose coefficients are stated in a mapping."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from testbed.sensors.corrected import CorrectedSource
 
 
 def remove_stated_errors(mapping: Mapping, recording: Recording) -> Recording:
-    """Recording without the sensor errors of a mapping.
+    """Recording without the sensor errors that a mapping states.
 
     Args:
         mapping: Mapping with coefficients in its table [errors].
         recording: Recording with these errors.
 
     Raises:
-        UnknownName: No sensor error has such a coefficient.
+        UnknownName: A coefficient does not belong to any sensor error.
     """
     if not mapping.errors:
         return recording

@@ -1,4 +1,4 @@
-"""Static poses from a table of any supported format: a row for each pose."""
+"""Static poses from a table of any supported format, with one row for each pose."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def read_static_poses(
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
     """Read joint positions, (P, n) [rad or m], and wrenches, (P, 6) [N, N m], of static poses.
 
-    Wrenches are in the frame and sense of the file, force before moment.
+    P is the number of poses. Wrenches are in the frame and sense of the file, force before moment.
 
     Args:
         path: File of any supported format.
-        tree: Robot; each joint has a column.
+        tree: Robot; the file has a column for each joint.
         degrees: True if angles without a unit are in degrees.
 
     Returns:
@@ -89,7 +89,7 @@ def read_static_poses(
 def _pose_source(path: Path, table: ForeignTable) -> LikelySource:
     """Source of a table, without the time column.
 
-    Columns whose names state neither a signal nor a unit are positions.
+    Columns whose names state neither a signal nor a unit are taken as positions.
     """
     clock = find_clock(table)
     names = [
@@ -107,13 +107,13 @@ def _pose_source(path: Path, table: ForeignTable) -> LikelySource:
 def _column_in_si(
     table: ForeignTable, name: str, unit: str, units: Mapping[str, float]
 ) -> Array:
-    """Column of a table in SI units, (P,).
+    """Column of a table in SI units, (P,), where P is the number of poses.
 
     Args:
         table: Table of poses.
         name: Column name.
         unit: Unit of the column.
-        units: Known units with their sizes in SI.
+        units: Sizes of the known units in SI, keyed by unit.
 
     Raises:
         UnknownName: The unit is not known.
@@ -126,9 +126,10 @@ def _column_in_si(
 def _position_columns(
     tree: Tree, signal: LikelySignal, *, degrees: bool
 ) -> Iterator[tuple[str, str, Mapping[str, float]]]:
-    """Yield column name, unit, and known units with SI sizes, of each joint's position.
+    """Yield column name, unit, and SI sizes of the known units for each joint's position.
 
-    Without a unit, angles are in rad, or in degrees with `degrees`, and lengths in m.
+    An angle without a unit is in rad, or in degrees if `degrees` is True; a length without a unit
+    is in m.
     """
     for joint in tree.joints:
         k = signal.group.names.index(joint.name)

@@ -1,4 +1,4 @@
-"""Tables of words, loggers, formats and hypotheses, read from TOML files beside this module."""
+"""Tables of words, loggers, formats and hypotheses, read from TOML files next to this module."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 
 def read_table(name: str) -> dict[str, Any]:
-    """Content of a TOML file beside this module.
+    """Content of a TOML file in the folder of this module.
 
     Args:
-        name: File name without the ending.
+        name: File name without the extension.
     """
     return loads(files("testbed.importing").joinpath(f"{name}.toml").read_text("utf-8"))
 
@@ -21,9 +21,9 @@ WORD_TABLES = read_table("vocabulary")
 
 
 def keys_by_word(table: str) -> dict[str, str]:
-    """Invert a table of words: key by word.
+    """Invert a table of words: map each word to its key.
 
     Args:
-        table: Name of the table, as "symbols", whose keys are quantities.
+        table: Name of the table, for example "symbols", whose keys are quantities.
     """
     return {word: key for key, words in WORD_TABLES[table].items() for word in words}

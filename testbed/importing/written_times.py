@@ -1,4 +1,4 @@
-"""Parser for instants in text: ISO 8601, dates with a time, times of day."""
+"""Parser for instants in text: ISO 8601, dates with time, and times of day."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ DAY_MICROSECONDS = 86_400e6
 
 
 def parse_instant(text: str) -> float:
-    """Instant since 1970, or since midnight without a date [us].
+    """Instant since 1970, or since midnight if the text has no date [us].
 
-    The day comes first in 4.3.2026; the month comes first in 3/4/2026, if it can be a month. An
-    instant with a time zone is converted to UTC.
+    In a date such as 4.3.2026 the day comes first; in 3/4/2026 the month comes first, if the number
+    can be a month. An instant with a time zone is converted to UTC.
 
     Args:
         text: Text of a field.
 
     Raises:
-        ValueError: The text is no instant.
+        ValueError: The text is not an instant.
     """
     match = INSTANT_PATTERN.fullmatch(text.strip())
     if match is None:

@@ -1,4 +1,4 @@
-"""Distances between pairs of bodies not joined by a joint, with derivatives."""
+"""Distances between pairs of bodies that no joint connects, with derivatives."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ SEARCH_DISTANCE = 0.1
 """Distance beyond the required clearance up to which a search computes distances [m]."""
 
 CLEARANCE_UNIT = 0.1
-"""Missing distance that equals an excess of one in a normalised limit [m]."""
+"""Shortfall of a distance that corresponds to a normalised excess of one [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """Distances of all watched pairs of bodies, by posture.
+    """Distances of all watched pairs of bodies in one or more postures.
 
     Attributes:
         values: Distances of the k pairs, (..., k) [m]; at most the largest computed distance,
@@ -38,7 +38,7 @@ class Distances:
 
 
 class DistanceMeter:
-    """Distances in given postures by MuJoCo, after a bounding-sphere test.
+    """Computation of distances in given postures by MuJoCo, after a bounding-sphere test.
 
     Attributes:
         collision: Shapes and watched pairs.
@@ -52,7 +52,8 @@ class DistanceMeter:
 
         Args:
             collision: Shapes and watched pairs.
-            max_distance: Largest distance that is computed [m]; of several values the largest.
+            max_distance: Largest distance that is computed [m]; the largest of several values is
+                used.
         """
         self.collision, self.max_distance = (
             collision,
@@ -74,7 +75,7 @@ class DistanceMeter:
 
         Args:
             q: Joint positions, (..., n) [rad or m].
-            slopes: True to compute derivatives; otherwise zeros.
+            slopes: True to compute derivatives; otherwise they are zero.
         """
         shape = *q.shape[:-1], len(self.collision.pairs)
         distances = Distances(
@@ -104,9 +105,9 @@ class DistanceMeter:
         mujoco.mj_comPos(self.collision.model, self._data)
 
     def _bounds(self) -> Array:
-        """Lower bounds of the distances of all pairs of shapes by bounding spheres, (s,) [m].
+        """Lower bounds of the distances of s pairs of shapes from bounding spheres, (s,) [m].
 
-        Bounds to the floor's plane use the height above the plane.
+        The bound for the floor plane is the height of the bounding sphere above the plane.
         """
         first, second = self._data.geom_xpos[self._geoms]
         displacement = second - first
@@ -133,8 +134,9 @@ class DistanceMeter:
     def _slopes(self, k: int, distance: float, points: Array) -> Array:
         """Derivatives of a pair's distance with respect to the joint positions, (n,).
 
-        Difference of both points' Jacobians along the line between the points; zero for points
-        closer than 1 nm, where the direction is undefined.
+        The derivatives are the difference between the Jacobians of the two nearest points,
+        projected onto the line between the points. They are zero for points closer than 1 nm, where
+        the direction is undefined.
 
         Args:
             k: Index of the pair of shapes.
@@ -158,7 +160,7 @@ class DistanceMeter:
 
 
 class ClearanceTerm:
-    """Minimum distances of pairs of bodies as limits of a search."""
+    """Minimum distances between pairs of bodies as limits of a search."""
 
     def __init__(self, collision: CollisionModel, clearance: Array) -> None:
         """Prepare the limits.
@@ -174,7 +176,10 @@ class ClearanceTerm:
         self._last_distances = self._meter.measure(np.zeros((0, 0)))
 
     def values(self, samples: MotionSamples) -> Array:
-        """Missing distances over `CLEARANCE_UNIT`, (k, G); negative where respected."""
+        """Normalised shortfalls of the distances, (k, G); negative where limits are respected.
+
+        The values are (clearance - distance) / CLEARANCE_UNIT for k pairs at G instants.
+        """
         return (
             self._clearance[:, None] - self._distances(samples.motion.q).values.T
         ) / CLEARANCE_UNIT
@@ -188,7 +193,7 @@ class ClearanceTerm:
         return np.concatenate([by_q, np.zeros_like(by_q), np.zeros_like(by_q)], axis=1)
 
     def _distances(self, postures: Array) -> Distances:
-        """Distances in postures, (G, n), with derivatives; the last result is cached."""
+        """Distances in G postures, (G, n), with derivatives; the last result is cached."""
         if not np.array_equal(self._last_postures, postures):
             self._last_postures = postures
             self._last_distances = self._meter.measure(postures, slopes=True)

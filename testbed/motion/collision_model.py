@@ -1,4 +1,4 @@
-"""MuJoCo collision model of a robot: shapes, pairs of bodies, bounds of approach speed."""
+"""MuJoCo collision model of a robot: shapes, pairs of bodies, bounds on approach speeds."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _GEOM_TYPES = {
 
 @dataclass(frozen=True, eq=False)
 class CollisionModel:
-    """Shapes on bodies, and the watched pairs of bodies.
+    """Shapes of all bodies, and the watched pairs of bodies, whose distances are computed.
 
     Attributes:
         tree: The robot.
         model: MuJoCo model of bodies and shapes.
-        order: Index of each joint among MuJoCo's velocities, (n,).
+        order: Index of each joint in MuJoCo's velocity vector, (n,).
         pairs: Pairs of body indices; negative indices are fixed bodies.
         geoms: Pairs of shape indices of each pair of bodies, (2, k).
     """
@@ -65,7 +65,7 @@ class CollisionModel:
 
     @property
     def bodies(self) -> tuple[tuple[str, str], ...]:
-        """Names of the bodies of each pair; fixed bodies as in `FIXED_BODY_NAMES`."""
+        """Names of the bodies of each pair; fixed bodies are named as in `FIXED_BODY_NAMES`."""
         joints = self.tree.joints
         return tuple(
             (FIXED_BODY_NAMES.get(a) or joints[a].body, joints[b].body)
@@ -76,11 +76,11 @@ class CollisionModel:
         """Collision model without given pairs of bodies.
 
         Args:
-            pairs: Names of the bodies of each excluded pair, in any order; fixed bodies as in
-                `FIXED_BODY_NAMES`.
+            pairs: Names of the bodies of each excluded pair, in any order; fixed bodies are named
+                as in `FIXED_BODY_NAMES`.
 
         Raises:
-            UnknownName: There is no body with a given name.
+            UnknownName: No body has a given name.
         """
         excluded = [frozenset(pair) for pair in pairs]
         known = [
@@ -112,8 +112,9 @@ def collision_model(
 ) -> CollisionModel:
     """Build the collision model of a robot, obstacles and a floor, with all pairs watched.
 
-    Pairs are those of two bodies of which one moves and that no joint connects; a first body of the
-    robot is not paired with the floor. Meshes become convex hulls; flat meshes are dropped.
+    A pair consists of two bodies that no joint connects, at least one of which moves; a body
+    carried by the bedplate is not paired with the floor. Meshes are replaced by their convex hulls;
+    flat meshes are dropped.
 
     Args:
         tree: The robot.
@@ -142,7 +143,7 @@ def collision_model(
 
 
 def _add_bodies(spec: mujoco.MjSpec, tree: Tree) -> list[mujoco.MjsBody]:
-    """Add a body without shapes for each joint; return the world and these bodies."""
+    """Add a body without shapes for each joint; return the world and the new bodies."""
     bodies = [spec.worldbody]
     kinds = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     for j, joint in enumerate(tree.joints):
@@ -157,10 +158,10 @@ def _add_bodies(spec: mujoco.MjSpec, tree: Tree) -> list[mujoco.MjsBody]:
 def _collision_pairs(
     tree: Tree, owners: Sequence[int]
 ) -> dict[tuple[int, int], NDArray[np.int64]]:
-    """Shape pairs, (2, k), by pair of bodies that can collide.
+    """Pairs of shapes, (2, k), keyed by the pairs of bodies that can collide.
 
-    At least one body of a pair moves, and no joint connects the two; a body carried by the bedplate
-    is not paired with the floor. Keys and shapes have the lower body index first.
+    At least one body of a pair moves, and no joint connects the two bodies; a body carried by the
+    bedplate is not paired with the floor. Keys and shapes have the lower body index first.
 
     Args:
         tree: The robot.
@@ -219,10 +220,11 @@ def _convex_hull(vertices: Array) -> tuple[Array, NDArray[np.int64]] | None:
 
 
 def distance_rate_bounds(collision: CollisionModel, limits: Limits) -> Array:
-    """Upper bounds of distance change per joint displacement, (k, n) [m/rad or 1].
+    """Upper bounds of the distance change per joint displacement, (k, n) [m/rad or 1].
 
-    Only joints between a body of the pair and the pair's last common ancestor count. A point of the
-    body moves at most by the joint's displacement times its largest distance from the joint.
+    Only joints between a body of the pair and the last common ancestor of both bodies contribute. A
+    revolute joint moves a point of the body at most by the joint displacement times the largest
+    distance of the point from the joint.
 
     Args:
         collision: Shapes and watched pairs.
@@ -246,7 +248,7 @@ def distance_rate_bounds(collision: CollisionModel, limits: Limits) -> Array:
 
 
 def _reaches(collision: CollisionModel) -> dict[int, float]:
-    """Bound of the distances of a moving body's shapes from the origin, by body [m]."""
+    """Upper bounds of distances of shapes from body origins, keyed by moving body [m]."""
     model = collision.model
     reaches: dict[int, float] = {}
     for (a, b), geoms in zip(collision.pairs, collision.geoms, strict=True):

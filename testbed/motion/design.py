@@ -1,4 +1,4 @@
-"""Design of an excitation trajectory by several searches; the best proven result.
+"""Design of an excitation trajectory as the best proven result of several searches.
 
 Each search starts from a random motion inside all limits, with one of the allowed frequencies. If
 the proof fails between the samples of a search, the amplitudes are reduced slightly.
@@ -29,18 +29,21 @@ from testbed.motion.terms import ForceTerm
 MAX_DRAWS = 60
 """Largest number of random motions tried for a feasible initial motion."""
 AMPLITUDE_SHARES = 0.8 ** np.arange(1, 16)
-"""Amplitude shares of a random motion, largest first."""
+"""Amplitude factors of a random motion, in descending order."""
 PROOF_SHARES = (1.0, 0.998, 0.995, 0.99, 0.98, 0.96, 0.93, 0.88, 0.8)
-"""Amplitude shares for which a proof is tried."""
+"""Amplitude factors for which a proof is tried."""
 EXTRA_CLEARANCE_SHARE, MIN_EXTRA_CLEARANCE = 0.25, 2e-4
-"""Extra clearance of a search beyond the clearance to be proven: relative, and smallest [m]."""
+"""Extra clearance of a search beyond the clearance to be proven: relative value, and smallest
+absolute value [m]."""
 MIN_STEPS, MAX_CRITERION_LAG = 30, 2 * np.log(1.25)
-"""Number of steps, and lag of the criterion behind the best search, from which a search ends."""
+"""Number of steps, and excess of the criterion over that of the best search, from which a search is
+ended."""
 MIN_SAMPLES, SAMPLES_PER_HARMONIC = 80, 16
-"""Smallest number of samples of a period in a search, in all and per harmonic."""
+"""Smallest number of samples of a period in a search, in total and per harmonic."""
 
 SearchCallback = Callable[[int, int, float], None]
-"""Function of the numbers of finished and of all searches, and the best criterion so far."""
+"""Callback with the number of finished searches, the number of all searches and the best criterion
+so far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +52,14 @@ class DesignProblem:
 
     Attributes:
         rules: Limits that the motion respects.
-        information: Unknowns and criterion; the prior is in units of one sample.
+        information: Unknowns and criterion; the prior information is divided by the number of
+            samples.
         rows: Sampled rows of the models that rules and information need.
-        pipeline: Filters and duration of the recording to be made.
-        frequencies: Fundamentals [Hz] and numbers of harmonics, used by the searches in turn.
+        pipeline: Filters and duration of the planned recording.
+        frequencies: Pairs of fundamental frequency [Hz] and number of harmonics, used by the
+            searches in turn.
         search_count: Number of searches.
-        seed: Seed of the random motions that searches start from.
+        seed: Seed of the random motions from which searches start.
     """
 
     rules: MotionConstraints
@@ -67,7 +72,7 @@ class DesignProblem:
 
     @cached_property
     def centre_posture(self) -> Array:
-        """Posture about which the second half of the initial motions is tried, (n,) [rad or m]."""
+        """Centre posture of the second half of the initial motions tried, (n,) [rad or m]."""
         return rest_posture(self.rules)
 
 
@@ -77,8 +82,8 @@ class Design:
 
     Attributes:
         motion: The motion.
-        value: Criterion, a log variance, for one sample: exp(value / 2) is a relative standard
-            deviation.
+        value: Criterion for one sample, the logarithm of a variance: exp(value / 2) is a relative
+            standard deviation.
         proof: Margins of all limits.
         searches: Number of searches made.
         is_complete: True if all searches were made without interruption.
@@ -100,8 +105,8 @@ def design(
 
     Args:
         problem: Limits, unknowns and searches.
-        watch: Called after every step of a search.
-        interrupted: Called after every step; True stops with the best motion so far.
+        watch: Callback after every step of a search.
+        interrupted: Callback after every step; True stops the design with the best motion so far.
 
     Raises:
         NoFeasibleMotion: No motion inside the limits was found; the message names the critical
@@ -139,10 +144,10 @@ def criterion(problem: DesignProblem, motion: Fourier) -> float:
 
 
 class _SearchProgress:
-    """Criteria of the searches by step, and decision to stop a search.
+    """Criteria of the searches after every step, and decision to stop a search.
 
-    A search ends on interruption, or after MIN_STEPS if its criterion exceeds that of the best
-    search at the same step by MAX_CRITERION_LAG.
+    A search ends when it is interrupted, or after MIN_STEPS steps if its criterion exceeds the
+    criterion of the best search at the same step by more than MAX_CRITERION_LAG.
     """
 
     def __init__(
@@ -157,7 +162,7 @@ class _SearchProgress:
         self.stopped = False
 
     def step(self, level: float, value: float) -> bool:
-        """Record a step; True if the search must stop.
+        """Record a step; return True if the search must stop.
 
         Args:
             level: Constant added to the search's criterion.
@@ -182,9 +187,10 @@ class _SearchProgress:
 def _search_problem(
     problem: DesignProblem, fundamental: float, harmonics: int
 ) -> InteriorPointProblem:
-    """Optimisation problem for a given fundamental and number of harmonics.
+    """Optimisation problem for a given fundamental frequency and number of harmonics.
 
-    Clearances are increased by EXTRA_CLEARANCE_SHARE, at least MIN_EXTRA_CLEARANCE, for the proof.
+    Clearances are increased by the fraction EXTRA_CLEARANCE_SHARE, but at least by
+    MIN_EXTRA_CLEARANCE, so that the proof is likely to succeed.
 
     Args:
         problem: Design problem.
@@ -256,12 +262,12 @@ def _initial_search(
 def _scaled_motions(
     series: Series, rng: np.random.Generator, centre: Array | None
 ) -> Iterator[Fourier]:
-    """Yield a random motion with amplitudes decreasing by AMPLITUDE_SHARES.
+    """Yield a random motion with its amplitudes scaled by each of AMPLITUDE_SHARES.
 
     Args:
         series: Frequencies and limits.
         rng: Random generator.
-        centre: Posture of the centre, (n,) [rad or m]; None for a random posture.
+        centre: Centre posture, (n,) [rad or m]; None for a random posture.
     """
     random_series = draw_random_series(
         series.limits, series.fundamental, series.harmonics, rng
@@ -274,9 +280,9 @@ def _scaled_motions(
 def _first_feasible(
     search: InteriorPointProblem, motions: Iterable[Fourier]
 ) -> Array | None:
-    """Unknowns of the first motion strictly inside all limits, (n p,); else None.
+    """Unknowns of the first motion strictly inside all limits, (n p,), or None.
 
-    n joints with p unknowns each; the criterion must be finite, too.
+    There are n joints with p unknowns each. The criterion of the motion must be finite, too.
     """
     unknowns = (search.series.unknowns(motion) for motion in motions)
     return next((x for x in unknowns if search.evaluate(x).is_feasible), None)
@@ -287,7 +293,7 @@ def _first_proven(
 ) -> tuple[Fourier, Proof]:
     """First motion with a proof, and the proof; amplitudes are reduced if necessary.
 
-    Shares of PROOF_SHARES are tried for the first motion, then for the second, and so on.
+    All factors of PROOF_SHARES are tried for the first motion, then for the second, and so on.
 
     Args:
         rules: Limits of the motion.

@@ -1,4 +1,4 @@
-"""Design of an excitation trajectory, with predicted precision beside a random motion."""
+"""Design of an excitation trajectory, with predicted precision compared to a random motion."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Excitation(Diagnosed):
         problem: Limits, unknowns and instruments of the design.
         design: The motion and its proof.
         predicted: Standard deviations of the parameters with the designed motion.
-        random: Standard deviations with a random motion; None without random motion.
-        candidates: Number of random motions of which the random motion is the best.
+        random: Standard deviations with a random motion; None for no random motion.
+        candidates: Number of random motions from which the best was selected for comparison.
     """
 
     problem: DesignProblem
@@ -67,9 +67,10 @@ class Excitation(Diagnosed):
 
     @property
     def gain(self) -> float | None:
-        """Rms relative sigma of the random motion over the rms of the designed motion.
+        """Ratio of the rms relative sigmas of random motion and designed motion.
 
-        None without a random motion, or if it does not identify all parameters.
+        The ratio is None without a random motion, or if the random motion does not identify all
+        parameters.
         """
         if self.random is None or not np.isfinite(self.random.rms):
             return None
@@ -77,7 +78,7 @@ class Excitation(Diagnosed):
 
     @property
     def beside_random(self) -> str:
-        """Phrase comparing the rms relative sigmas of designed and random motion, for reports."""
+        """Phrase for reports that compares rms relative sigmas of designed and random motion."""
         origin = f"the best of {self.candidates} random motions"
         if self.random is None:
             return "no random motion within the limits was found for comparison"
@@ -104,15 +105,15 @@ def excite(
     watch: SearchCallback = ignore_progress,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Excitation:
-    """Design a motion, and predict the standard deviations with this and a random motion.
+    """Design a motion, and predict standard deviations for this motion and a random motion.
 
     Args:
         problem: Limits, unknowns and instruments.
         random: Random motion for comparison; None for no comparison.
-        candidates: Number of random motions of which `random` is the best.
-        watch: Called after every step of a search, with the relative sigma, for the whole
-            recording, of the best motion in place of the criterion.
-        interrupted: Called after every step; True stops with the best motion so far.
+        candidates: Number of random motions from which `random` was selected as the best.
+        watch: Callback after every step of a search; instead of the criterion, it receives the
+            relative sigma of the best motion for the whole recording.
+        interrupted: Callback after every step; True stops the design with the best motion so far.
 
     Raises:
         NoFeasibleMotion: No motion inside the limits was found.

@@ -49,7 +49,7 @@ class Fourier(Value):
 
     @property
     def coefficients(self) -> Array:
-        """Offset, sines and cosines by joint, (n, 2 harmonics + 1) [rad or m]."""
+        """Offset, sine and cosine coefficients of each joint, (n, 2 harmonics + 1) [rad or m]."""
         return np.hstack([self.offset[:, None], self.sine, self.cosine])
 
     @staticmethod
@@ -58,7 +58,8 @@ class Fourier(Value):
 
         Args:
             fundamental: Fundamental frequency [Hz].
-            coefficients: Offset, sines and cosines by joint, (n, 2 harmonics + 1) [rad or m].
+            coefficients: Offset, sine and cosine coefficients of each joint, (n, 2 harmonics + 1)
+                [rad or m].
         """
         last = 1 + coefficients.shape[1] // 2
         parts = coefficients[:, 0], coefficients[:, 1:last], coefficients[:, last:]
@@ -71,13 +72,14 @@ class Fourier(Value):
 
     @property
     def fifth_derivative(self) -> Array:
-        """Upper bound of the absolute fifth derivative, (n,) [rad/s^5 or m/s^5]."""
+        """Upper bounds of the absolute fifth time derivatives, (n,) [rad/s^5 or m/s^5]."""
         return self.bound(5)
 
     def bound(self, order: int) -> Array:
-        """Upper bound of the absolute derivative of an order, (n,) [rad/s^order or m/s^order].
+        """Upper bounds of absolute derivatives of given order, (n,) [rad/s^order or m/s^order].
 
-        Sum of the amplitudes of the derivative's harmonics, for order 0 plus the absolute offset.
+        The bound is the sum of the amplitudes of the derivative's harmonics; for order 0, the
+        absolute offset is added.
         """
         frequencies = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
         constant = 0.0 if order else np.abs(self.offset)
@@ -86,7 +88,7 @@ class Fourier(Value):
         )
 
     def derivative(self, t: Array, order: int) -> Array:
-        """Derivative of the positions at times t, (M, n) [rad/s^order or m/s^order].
+        """Time derivative of the positions at times t, (M, n) [rad/s^order or m/s^order].
 
         Order 0 gives the positions.
         """
@@ -108,7 +110,7 @@ class Fourier(Value):
         return np.arange(count) * self.period / count
 
     def scaled(self, share: float, rest: Array) -> Fourier:
-        """Motion scaled about a posture.
+        """Motion with amplitudes scaled about a posture.
 
         Args:
             share: Scale factor; 0 gives a constant posture.
@@ -134,7 +136,7 @@ def fourier_basis(
 ) -> Array:
     """Derivatives of the Fourier basis functions at times t, (M, 2 harmonics + 1).
 
-    Columns are those of the constant, of the sines and of the cosines.
+    The columns belong to the constant, the sines and the cosines, in this order.
 
     Args:
         fundamental: Fundamental frequency [Hz].

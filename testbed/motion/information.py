@@ -20,7 +20,8 @@ from testbed.motion.fourier import Fourier
 from testbed.motion.samples import MIN_RELATIVE_SCALE, KernelForces, SampledRows
 
 Criterion: TypeAlias = Callable[[Array], tuple[float, Array]]
-"""Function of a covariance C, (N, N): value, and derivative with respect to C, (N, N)."""
+"""Function that maps a covariance C, (N, N), to a value and its derivative with respect to C,
+(N, N)."""
 
 CriterionName = Literal["a", "d", "e"]
 
@@ -30,22 +31,23 @@ NORM_ORDER = 8
 
 
 def a_optimal(covariance: Array) -> tuple[float, Array]:
-    """A-optimality: log of the mean variance, and derivative by the covariance."""
+    """A-optimality: log of the mean variance, and derivative with respect to the covariance."""
     count, trace = len(covariance), float(np.trace(covariance))
     return float(np.log(trace / count)), np.eye(count) / trace
 
 
 def d_optimal(covariance: Array) -> tuple[float, Array]:
-    """D-optimality: log-determinant of the covariance per parameter, and derivative."""
+    """D-optimality: mean log eigenvalue of the covariance, and derivative."""
     count = len(covariance)
     log_determinant = float(np.linalg.slogdet(covariance)[1])
     return log_determinant / count, np.linalg.inv(covariance) / count
 
 
 def e_optimal(covariance: Array) -> tuple[float, Array]:
-    """E-optimality: log of the smoothed largest eigenvalue, and derivative by the covariance.
+    """E-optimality: log of the largest eigenvalue, smoothed, and derivative.
 
-    The largest eigenvalue is replaced by the NORM_ORDER-norm mean of all eigenvalues.
+    The largest eigenvalue is approximated by the power mean of order NORM_ORDER of all eigenvalues.
+    The derivative is taken with respect to the covariance.
     """
     values, axes = eigh(covariance)
     share = np.maximum(values, 0.0) / values[-1]
@@ -59,11 +61,11 @@ CRITERIA: dict[CriterionName, Criterion] = {
     "d": d_optimal,
     "e": e_optimal,
 }
-"""Optimality criteria by name."""
+"""Optimality criteria, keyed by name."""
 
 
 Instrument = Literal["plate", "joints", "both"]
-"""Instrument whose rows are used: bedplate (wrench), joints (torques), or both."""
+"""Instrument whose regressor rows are used: bedplate (wrench), joints (torques), or both."""
 
 
 SIGN_SMOOTHING_SPEED = 0.05
@@ -72,18 +74,18 @@ SIGN_SMOOTHING_SPEED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class RegressorRows:
-    """Regressor rows of one signal on the unknowns of the design.
+    """Regressor rows of one signal for the unknowns of the design.
 
-    The U unknowns are the N base parameters, relative to their scales, and, with joint torques, n
-    dry and n viscous friction coefficients.
+    The U unknowns are the N base parameters, relative to their scales. With joint torques, n dry
+    and n viscous friction coefficients are added.
 
     Attributes:
         model: Signal of the rows.
-        slots: Slots of each channel (`SampledRows`).
-        lead: Matrix from each channel's s slots to the unknowns, (s, U).
+        slots: Range of the slots of each channel (regressor entries of `SampledRows`).
+        lead: Matrix of each channel that maps its s slots to the U columns of the unknowns, (s, U).
         weights: Inverse noise variance of each channel, (channels,).
-        friction: Index of the first dry friction coefficient among the unknowns, viscous
-            coefficients following; None for the plate, which does not measure friction.
+        friction: Index of the first dry friction coefficient among the unknowns; the viscous
+            coefficients follow. None for the plate, which does not measure friction.
     """
 
     model: Signal
@@ -93,7 +95,7 @@ class RegressorRows:
     friction: int | None
 
     def rows(self, samples: KernelForces) -> list[Array]:
-        """Regressor rows of each channel on all unknowns at G instants, (G, U) each."""
+        """Regressor rows of each channel for all unknowns at G instants, (G, U) each."""
         slots, speeds = samples.slots[self.model][:, 0], samples.motion.qd
         rows = [
             slots[channel_slots].T @ lead
@@ -117,10 +119,12 @@ class DesignObjective:
     Unknowns are those of `RegressorRows`.
 
     Attributes:
-        names: Names of the base parameters, which are the first unknowns; friction is a nuisance.
+        names: Names of the base parameters, which are the first unknowns; friction coefficients are
+            nuisance parameters.
         scale: Scale of each parameter for relative errors, (N,).
         parts: Rows of each used signal.
-        prior: Prior information on all unknowns, (U, U), in units of one measurement per instant.
+        prior: Prior information on all unknowns, (U, U), on the scale of one measurement per
+            instant.
         criterion: Name of the optimality criterion.
     """
 
@@ -139,8 +143,8 @@ class DesignObjective:
         """Information matrix of one measurement per instant without the prior, (U, U).
 
         Args:
-            samples: Instants; of one period, if `harmonics` is given.
-            counted: True where a joint's torque row is counted, (G, n); default all.
+            samples: Samples of the motion; samples of one period if `harmonics` is given.
+            counted: True where the torque row of a joint is used, (G, n); default all rows.
             harmonics: Number of harmonics to which the plate's rows are low-pass filtered; default
                 no filter.
         """
@@ -162,9 +166,9 @@ class DesignObjective:
         return np.inf if covariance is None else CRITERIA[self.criterion](covariance)[0]
 
     def slopes(self, samples: KernelForces) -> Array:
-        """Derivatives of the criterion by q, then qd, then qdd of every instant, (3 n, G).
+        """Derivatives of the criterion with respect to q, qd, qdd at every instant, (3 n, G).
 
-        All unknowns must be identifiable, and `samples` need a stencil.
+        All unknowns must be identifiable, and `samples` must have a stencil.
         """
         covariance = _scaled_inverse(self.matrix(samples) + self.prior)
         assert covariance is not None
@@ -198,7 +202,8 @@ class DesignObjective:
     def covariance(self, information: Array) -> Array | None:
         """Covariance of the relative errors of the base parameters, (N, N).
 
-        Friction is estimated too (marginal covariance). None if an unknown is not identifiable.
+        The covariance is marginal, as friction coefficients are also estimated. The result is None
+        if an unknown is not identifiable.
 
         Args:
             information: Information matrix of all unknowns, (U, U).
@@ -265,7 +270,7 @@ def signals_of_instrument(instrument: Instrument) -> tuple[Signal, ...]:
 
 
 def _scaled_inverse(matrix: Array) -> Array | None:
-    """Inverse of a positive definite matrix after scaling to unit diagonal; else None."""
+    """Inverse of a matrix after scaling to unit diagonal; None unless positive definite."""
     scale = np.sqrt(np.diag(matrix))
     if not (np.isfinite(matrix).all() and (scale > 0).all()):
         return None
@@ -279,19 +284,21 @@ def _scaled_inverse(matrix: Array) -> Array | None:
 
 
 SAMPLES_PER_HARMONIC = 24
-"""Samples of a period per harmonic; rows contain up to four times the motion's harmonics."""
+"""Samples of a period per harmonic; rows contain harmonics of up to four times the order of the
+motion's harmonics."""
 
 
 @dataclass(frozen=True, eq=False)
 class SignalProcessing:
-    """Effect of the estimator's signal processing on a recording.
+    """Parameters of the estimator's signal processing for a recording.
 
     Attributes:
         rate: Sampling rate [Hz].
         duration: Duration of the recording after filtering [s].
-        band: Cut-off frequency of the rows [Hz]; infinite without low-pass.
-        min_speed: Joint speed at or below which rows of a joint are not counted [rad/s or m/s].
-        guard_time: Time before and after samples at or below `min_speed` that is not counted [s].
+        band: Cut-off frequency of the rows [Hz]; infinite for no low-pass filter.
+        min_speed: Joint speed at or below which rows of a joint are not used [rad/s or m/s].
+        guard_time: Time before and after samples at or below `min_speed` in which rows are not used
+            [s].
     """
 
     rate: float
@@ -313,9 +320,10 @@ class Prediction:
     Attributes:
         names: Names of the base parameters.
         sigma: Standard deviation of each parameter, (N,) [kg, kg m, kg m^2].
-        relative: Standard deviations relative to the values, small values being raised to
-            MIN_RELATIVE_SCALE of the largest of the same unit, (N,); infinite if not identifiable.
-        condition: Condition number of the weighted rows on relative parameters.
+        relative: Ratios of the standard deviations to the values, (N,); small values are raised to
+            MIN_RELATIVE_SCALE times the largest value of the same unit. Infinite if not
+            identifiable.
+        condition: Condition number of the weighted regressor for relative parameters.
     """
 
     names: tuple[str, ...]
@@ -339,12 +347,12 @@ def predict(
 ) -> Prediction:
     """Predict standard deviations of the base parameters under white noise.
 
-    All are infinite if an unknown is not identifiable.
+    All standard deviations are infinite if an unknown is not identifiable.
 
     Args:
-        information: Design objective; its prior is in units of one sample.
+        information: Design objective; its prior information is divided by the number of samples.
         rows: Sampled rows of the used signals.
-        motion: The motion, repeated over the recording.
+        motion: Periodic motion, repeated over the recording.
         pipeline: Signal processing of the estimator.
     """
     count = max(SAMPLES_PER_HARMONIC * motion.harmonics, 200)
@@ -369,9 +377,9 @@ def predict(
 def is_counted(
     motion: Fourier, count: int, pipeline: SignalProcessing
 ) -> NDArray[np.bool_]:
-    """True where a joint's rows are counted, at samples of a period, (count, n).
+    """True where rows of a joint are used, at the samples of a period, (count, n).
 
-    Rows are counted where the joint is faster than `min_speed` from `guard_time` before to
+    A row is used if the joint is faster than `min_speed` from `guard_time` before the sample to
     `guard_time` after the sample.
 
     Args:

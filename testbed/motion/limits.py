@@ -14,9 +14,10 @@ from testbed.core.robot.drive_torque import drive_torque
 from testbed.core.robot.tree import Joint, Tree
 
 DEFAULT_LIMITS = {"revolute": (np.pi, 2.0, 6.0), "prismatic": (0.5, 0.5, 2.0)}
-"""Default half range, velocity and acceleration by kind of joint, for joints without a limit."""
+"""Default half range, velocity and acceleration of joints without limits, keyed by joint kind."""
 MAX_RANGE_RATIO = 100.0
-"""Largest position limit over the default half range; a larger limit, as 1e16 rad, is no limit."""
+"""Largest ratio of a position limit to the default half range; a larger limit, such as 1e16 rad, is
+treated as missing."""
 
 
 RANDOM_POSTURES = 200
@@ -32,7 +33,7 @@ class Limits:
         high: Largest position, (n,) [rad or m].
         velocity: Largest speed, (n,) [rad/s or m/s].
         acceleration: Largest acceleration, (n,) [rad/s^2 or m/s^2].
-        effort: Largest absolute motor effort, (n,) [N m or N]; infinite without limit.
+        effort: Largest absolute motor effort, (n,) [N m or N]; infinite for no limit.
     """
 
     low: Array
@@ -84,12 +85,13 @@ def joint_limits(
 
     Args:
         tree: The robot.
-        velocity: Largest speed by joint name [rad/s or m/s]; the smaller of this and the model
-            file's limit applies.
-        acceleration: Largest acceleration by joint name [rad/s^2 or m/s^2]; model files have none.
+        velocity: Largest speeds, keyed by joint name [rad/s or m/s]; the smaller of this limit and
+            the limit of the model file applies.
+        acceleration: Largest accelerations, keyed by joint name [rad/s^2 or m/s^2]; model files
+            state no acceleration limits.
 
     Raises:
-        UnknownName: A limit is given for a joint that the robot lacks.
+        UnknownName: A limit is given for a joint that the robot does not have.
         NoFeasibleMotion: The position range of a joint is empty.
     """
     velocity, acceleration = velocity or {}, acceleration or {}
@@ -118,15 +120,16 @@ def joint_limits(
 
 
 def motor_efforts(tree: Tree, motion: Motion) -> Array:
-    """Motor efforts along a motion, friction and rotor inertia included, (M, n) [N m or N]."""
+    """Motor efforts along a motion, including friction and rotor inertia, (M, n) [N m or N]."""
     return joint_forces(tree, motion) + drive_torque(tree, motion.qd, motion.qdd)
 
 
 def _position_range(joint: Joint) -> tuple[float, float]:
     """Finite position range of a joint; missing limits are replaced by default ranges.
 
-    A limit beyond MAX_RANGE_RATIO times the default half range counts as missing. With one limit
-    the range is twice the default half range from there, with none it is symmetric about zero.
+    A limit beyond MAX_RANGE_RATIO times the default half range is treated as missing. If only one
+    limit is given, the range extends from this limit over twice the default half range. If no limit
+    is given, the range is symmetric about zero.
     """
     default_half = DEFAULT_LIMITS[joint.kind][0]
     low, high = (

@@ -54,7 +54,7 @@ class _JointTable(BaseModel):
 
 
 class _MotionTables(BaseModel):
-    """Tables of a motion file; `limits`, `predicted` and `proof` are accepted, not used."""
+    """Tables of a motion file; `limits`, `predicted` and `proof` are accepted but not used."""
 
     model_config = STRICT_TABLE
 
@@ -74,7 +74,7 @@ class MotionFile:
     Attributes:
         path: Path of the file.
         model: Path of the model file that the motion was designed for.
-        motion: The motion, joints in the order of `names`.
+        motion: Motion, with joints in the order of `names`.
         names: Names of the joints.
     """
 
@@ -113,7 +113,8 @@ def read_motion(path: Path) -> MotionFile:
     """Read a motion file.
 
     Args:
-        path: File of `write_motion`, or another with model, fundamental and a table per joint.
+        path: File from `write_motion`, or another TOML file with the model, the fundamental
+            frequency and one table per joint.
 
     Raises:
         ExperimentError: The file is invalid.
@@ -144,7 +145,7 @@ def read_motion(path: Path) -> MotionFile:
 def write_motion(path: Path, excitation: Excitation, model: Path) -> None:
     """Write the Fourier coefficients of a designed motion to a TOML file for `read_motion`.
 
-    The model file is stored as path relative to the file, and as SHA-256 hash.
+    The model file is recorded by its path relative to the written file and by its SHA-256 hash.
 
     Args:
         path: Path of the file, which is replaced if it exists.
@@ -181,8 +182,8 @@ def write_trajectory(
     """Write samples of a motion from rest to rest: time, positions, velocities, accelerations.
 
     Columns are time, position/JOINT, velocity/JOINT, acceleration/JOINT [s, rad or m]. The periodic
-    part, for identification, begins at time zero; earlier samples lead from rest into the periodic
-    part, samples after its end to rest.
+    part, for identification, begins at time zero; earlier samples lead from rest to the periodic
+    part, and samples after its end lead back to rest.
 
     Args:
         path: Path of the CSV file, which is replaced if it exists.
@@ -191,7 +192,7 @@ def write_trajectory(
         duration: Requested duration of the periodic part, rounded to whole periods [s].
 
     Returns:
-        The motion with its start and end.
+        Motion with its start and end.
 
     Raises:
         ExperimentError: The file would have more than MOST_SAMPLES samples.

@@ -26,24 +26,24 @@ from testbed.motion.terms import ForceTerm
 INITIAL_BARRIER = 20.0
 """Initial barrier parameter, summed over all limits."""
 BARRIER_REDUCTION = 0.3
-"""Reduction factor of the barrier parameter near the minimum of the barrier function."""
+"""Factor by which the barrier parameter is reduced near the minimum of the barrier function."""
 FINAL_BARRIER = 3e-3
-"""Final barrier parameter, summed over all limits: bound of the loss in the objective."""
+"""Final barrier parameter, summed over all limits; it bounds the loss in the objective."""
 MAX_INNER_STEPS = 12
 """Largest number of steps with one barrier parameter."""
 MAX_SEARCH_STEPS = 100
 """Largest number of steps of a search."""
 MIN_SLACK_SHARE = 0.005
-"""Smallest share of a limit's slack that remains after a step."""
+"""Smallest fraction of a limit's slack that remains after a step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Value of the objective and of the limits at a point.
+    """Values of the objective and of the limits at a point.
 
     Attributes:
         value: Value of the objective.
-        limits: Values of the limits, (m,); negative where respected.
+        limits: Values of the m limits, (m,); negative where limits are respected.
     """
 
     value: float
@@ -57,10 +57,10 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation(Evaluation):
-    """Value and derivatives of the objective and of the limits at a point.
+    """Values and derivatives of the objective and of the limits at a point.
 
     Attributes:
-        x: The point, (k,).
+        x: Point with k unknowns, (k,).
         gradient: Gradient of the objective, (k,).
         jacobian: Jacobian of the limits.
     """
@@ -80,7 +80,7 @@ def interior_point_minimum(
     Args:
         search: Objective and limits.
         x: Initial point, strictly inside, (k,).
-        stop: Called with the objective after every step; True ends the search.
+        stop: Callback with the objective after every step; True ends the search.
 
     Returns:
         Last point, strictly inside the limits.
@@ -124,7 +124,7 @@ def _newton_step(
 ) -> tuple[Array, Array, float] | None:
     """Newton step of unknowns and duals, and slope of the barrier function along the step.
 
-    None if the Newton matrix is not positive definite numerically, as near a kink of the limits.
+    None if the Newton matrix is numerically not positive definite, for example near a kink.
 
     Args:
         current: Linearisation at the current point.
@@ -153,7 +153,7 @@ def _step_length(
 ) -> float:
     """Length of a feasible step with sufficient decrease of the barrier function (Armijo).
 
-    0 if 25 bisections give no such step.
+    The length is 0 if 25 bisections yield no feasible step with sufficient decrease.
 
     Args:
         search: Objective and limits.
@@ -236,14 +236,14 @@ def _bfgs_update(
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Linear map from unknowns to a Fourier series: 2 harmonics + 1 unknowns p per joint.
+    """Linear map from unknowns to a Fourier series, with `p = 2 harmonics + 1` unknowns per joint.
 
     Attributes:
         limits: Limits of the joints.
         fundamental: Fundamental frequency [Hz].
         harmonics: Number of harmonics.
         instants: Number G of samples of a period, more than twice the harmonics.
-        margin: Usable share of the limits.
+        margin: Usable fraction of the limits.
     """
 
     limits: Limits
@@ -269,7 +269,7 @@ class Series:
 
     @cached_property
     def units(self) -> Array:
-        """Fourier coefficients (offset, sines, cosines) per unit of unknown, (n, p) [rad or m]."""
+        """Fourier coefficients (offset, sines, cosines) per unit unknown, (n, p) [rad or m]."""
         frequencies = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
         amplitudes = np.tile(self.limits.velocity[:, None] / frequencies, 2)
         return np.hstack(
@@ -281,7 +281,7 @@ class Series:
 
     @cached_property
     def basis(self) -> Array:
-        """Basis functions of q, qd and qdd in the unknowns, (n, 3, G, p)."""
+        """Basis functions that map the unknowns to q, qd and qdd, (n, 3, G, p)."""
         order_bases = [
             fourier_basis(self.fundamental, self.harmonics, self.times, order)
             for order in range(3)
@@ -290,9 +290,9 @@ class Series:
 
     @cached_property
     def linear(self) -> Array:
-        """Basis functions of q, qd and qdd over the joint limits, (n, 3 G, p).
+        """Basis functions of q, qd and qdd divided by the joint limits, (n, 3 G, p).
 
-        Positions are relative to the middle of their range.
+        Positions are divided by half the width of the position range.
         """
         limits = self.limits
         limit = np.stack([limits.half, limits.velocity, limits.acceleration], axis=1)
@@ -315,9 +315,9 @@ class Series:
         return Motion(self.times, *np.einsum("jdgp,jp->dgj", self.basis, blocks))
 
     def limit_values(self, x: Array) -> Array:
-        """Normalised joint motion minus upper bound, (n, 2, 3, G): upper, lower limits.
+        """Normalised excess over upper and lower limits of the joint motion, (n, 2, 3, G).
 
-        The bound is reduced so that the limits hold between the samples, too.
+        The limits are reduced so that they hold between the samples, too.
 
         Args:
             x: Vector of unknowns, (n p,).
@@ -329,7 +329,7 @@ class Series:
         return np.asarray(np.stack([shares, -shares], axis=1) - bound)
 
     def gradient_by_unknowns(self, slopes: Array) -> Array:
-        """Gradient by the unknowns from derivatives by the motion, summed over instants.
+        """Gradient with respect to the unknowns, by the chain rule, summed over instants.
 
         Args:
             slopes: Derivatives with respect to q, then qd, then qdd, (..., 3 n, G).
@@ -343,7 +343,7 @@ class Series:
         return np.asarray(gradient.reshape(*leading_shape, -1))
 
     def jacobian_rows(self, slopes: Array, instants: NDArray[np.int64]) -> Array:
-        """Gradients by the unknowns of r functions of the motion at single instants, (r, n p).
+        """Gradients of r functions of single instants with respect to the unknowns, (r, n p).
 
         Args:
             slopes: Derivatives of the functions with respect to q, then qd, then qdd, (r, 3 n).
@@ -359,10 +359,10 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class BlockJacobian:
-    """Jacobian of all limits: joint-wise blocks for linear limits, rows for the others.
+    """Jacobian of all limits: blocks per joint for linear limits, dense rows for the others.
 
     Attributes:
-        linear: Blocks of the linear limits, (n, 3 G, p), used with both signs.
+        linear: Blocks of the linear limits, (n, 3 G, p), which apply with both signs.
         others: Number of other limits.
         place: Indices of the other limits with non-zero derivatives, (r,).
         dense: Rows of the Jacobian for these limits, (r, n p).
@@ -374,7 +374,7 @@ class BlockJacobian:
     dense: Array
 
     def matvec(self, x: Array) -> Array:
-        """Product of the Jacobian with a vector: change of all limits, (m,).
+        """Product of the Jacobian with a vector: changes of the m limits, (m,).
 
         Args:
             x: Change of the unknowns, (n p,).
@@ -424,7 +424,7 @@ class InteriorPointProblem:
 
     Attributes:
         series: Map from unknowns to the motion.
-        information: Objective: optimality criterion of the base parameters.
+        information: Objective, an optimality criterion of the base parameters.
         terms: Nonlinear limits of forces and clearances.
         rows: Sampled rows of the signals that objective and limits use.
         stencil: Finite-difference stencil of the derivatives.
@@ -439,12 +439,12 @@ class InteriorPointProblem:
     names: tuple[str, ...]
 
     def evaluate(self, x: Array) -> Evaluation:
-        """Objective and limits at a point, (n p,)."""
+        """Values of objective and limits at a point, (n p,)."""
         samples = self._samples(x, None)
         return Evaluation(self.information.value(samples), self._limits(x, samples))
 
     def linearise(self, x: Array) -> Linearisation:
-        """Objective and limits at a point, (n p,), with derivatives."""
+        """Values and derivatives of objective and limits at a point, (n p,)."""
         samples = self._samples(x, self.stencil)
         return Linearisation(
             x=x,
@@ -457,7 +457,7 @@ class InteriorPointProblem:
     def most_critical_limit(self, x: Array) -> tuple[str, float, float]:
         """Label, time [s] and value of the largest limit at a point.
 
-        The value is the excess over the usable share of the limit; negative if respected.
+        The value is the excess over the usable fraction of the limit; negative if respected.
         """
         instants = self.series.instants
         joint_values = self.series.limit_values(x).max(axis=1)
@@ -487,7 +487,7 @@ class InteriorPointProblem:
         return BlockJacobian(self.series.linear, len(all_slopes), indices, dense)
 
     def _samples(self, x: Array, stencil: Stencil | None) -> KernelForces:
-        """Samples of the motion of a point; without stencil no derivatives."""
+        """Samples of the motion at a point; derivatives require a stencil."""
         return KernelForces(self.series.sampled_motion(x), self.rows, stencil)
 
     def _limits(self, x: Array, samples: KernelForces) -> Array:

@@ -1,6 +1,7 @@
 """Proof that a periodic motion respects its limits at every instant; margins over time.
 
-Between samples, values are bounded by their derivatives; distances by conservative advancement.
+Between samples, values are bounded by means of their derivatives, and distances by conservative
+advancement.
 """
 
 from __future__ import annotations
@@ -27,27 +28,30 @@ from testbed.motion.terms import ForceTerm, force_curvature_bounds
 FORCE_SAMPLE_RATE = 1000.0
 """Initial sampling rate of forces [Hz]."""
 MAX_INTERPOLATION_ERROR = 2e-3
-"""Largest excess of a force between samples, as a share of its limit; above it the rate doubles."""
+"""Largest interpolation error of a force, relative to its limit; the sampling rate is doubled for
+larger errors."""
 MAX_SAMPLES = 100_000
 """Largest number of force samples."""
 SAMPLES_PER_HARMONIC = 200
-"""Samples per harmonic of positions, velocities, accelerations: supremum / maximum is 1.0001."""
+"""Samples per harmonic of positions, velocities and accelerations; the supremum is then at most
+1.0001 times the largest sample."""
 INTERVALS = 50
 """Number of intervals of a period with separate bounds of the derivatives."""
 QUICK_SAMPLES = 60
 """Number of samples of a period in the check before a proof."""
 MIN_ADVANCE = 1e-5
-"""Smallest advancement, as a share of the period; below it the proof fails."""
+"""Smallest time step of conservative advancement, relative to the period; the proof fails for
+smaller steps."""
 MIN_APPROACH_SPEED = 1e-9
 """Smallest assumed approach speed of two bodies [m/s]."""
 UNPROVEN_DEFICIT = 1e-9
-"""Missing distance that is reported for an unproven clearance [m]."""
+"""Shortfall of the distance that is reported for an unproven clearance [m]."""
 
 MAX_BINDING_SHARE = 0.01
-"""Largest remaining share of a binding limit."""
+"""Largest remaining fraction of a limit that is reported as binding."""
 
 MAX_BINDING_DISTANCE = 0.01
-"""Largest distance beyond the clearance of a binding clearance [m]."""
+"""Largest distance beyond a clearance that is reported as binding [m]."""
 
 
 class Path(Protocol):
@@ -59,10 +63,10 @@ class Path(Protocol):
 
     @property
     def fifth_derivative(self) -> Array:
-        """Upper bound of the absolute fifth derivative, (n,)."""
+        """Upper bounds of the absolute fifth time derivatives of the positions, (n,)."""
 
     def derivative(self, t: Array, order: int) -> Array:
-        """Derivative of order 0 to 4 of the positions at times t, (M, n)."""
+        """Time derivatives of order 0 to 4 of the positions at M times t, (M, n)."""
 
     def at(self, t: Array) -> Motion:
         """Positions, velocities and accelerations at times t, (M,) [s]."""
@@ -74,10 +78,10 @@ class Margin:
 
     Attributes:
         label: Name of the limit.
-        left: Proven remaining share of the limit, or distance beyond the clearance [m]; negative
-            where the limit is exceeded, or not proven to be respected.
+        left: Proven remaining fraction of the limit, or distance beyond the clearance [m]; negative
+            if the limit is exceeded or not proven to be respected.
         instant: Time of the smallest margin [s].
-        unit: "" for a share, "m" for a distance.
+        unit: "" for a fraction, "m" for a distance.
     """
 
     label: str
@@ -92,7 +96,7 @@ class Margin:
 
     @property
     def words(self) -> str:
-        """Sentence for a report: label, remaining or missing amount, time."""
+        """Sentence for a report, with label, remaining or missing amount, and time."""
         size = (
             f"{abs(self.left) * 1000:.3g} mm" if self.unit else f"{abs(self.left):.2%}"
         )
@@ -129,7 +133,8 @@ class Proof:
     def binding(self) -> tuple[str, ...]:
         """Names of the limits that the motion nearly reaches or exceeds.
 
-        The margin is below MAX_BINDING_SHARE, or MAX_BINDING_DISTANCE for a clearance.
+        A limit is binding if its margin is below MAX_BINDING_SHARE, or below MAX_BINDING_DISTANCE
+        for a clearance.
         """
         return tuple(
             margin.label
@@ -140,7 +145,7 @@ class Proof:
 
     @property
     def smallest_margin(self) -> Margin:
-        """Margin with the smallest `left`; shares and distances [m] are compared as numbers."""
+        """Margin with the smallest `left`; fractions and distances [m] are compared as numbers."""
         return min(self.margins, key=lambda margin: margin.left)
 
 
@@ -151,11 +156,12 @@ class MotionConstraints:
     Attributes:
         tree: The robot, with a-priori inertias and friction.
         limits: Limits of the joints.
-        margin: Usable share of the limits of joint positions, velocities and accelerations.
+        margin: Usable fraction of the limits of joint positions, velocities and accelerations.
         force_limits: Limits of motor efforts, plate and force sensors.
-        collision: Shapes and watched pairs of bodies; None without watched pairs.
-        clearance: Required distance of each pair, (k,) [m].
-        diagnostics: Diagnostics of pairs that are not watched, or have a reduced clearance.
+        collision: Shapes and watched pairs of bodies, whose distances are limited; None if no pair
+            is watched.
+        clearance: Required distances of the k watched pairs, (k,) [m].
+        diagnostics: Diagnostics of pairs that are not watched or have a reduced clearance.
     """
 
     tree: Tree
@@ -184,7 +190,7 @@ def prove(motion: Fourier, rules: MotionConstraints) -> Proof:
 def respects_limits_at_samples(motion: Fourier, rules: MotionConstraints) -> bool:
     """Test whether a motion respects all limits at QUICK_SAMPLES instants of a period.
 
-    Necessary condition, for a quick rejection before a proof.
+    This necessary condition allows a quick rejection before a proof.
 
     Args:
         motion: Periodic motion.
@@ -205,8 +211,8 @@ def respects_limits_at_samples(motion: Fourier, rules: MotionConstraints) -> boo
 def _joint_margins(motion: Fourier, rules: MotionConstraints) -> list[Margin]:
     """Margins of joint positions, velocities and accelerations.
 
-    The supremum of a trigonometric polynomial is bounded by its largest sample over cos(pi
-    harmonics / samples).
+    The supremum of an absolute trigonometric polynomial is at most the largest absolute sample
+    divided by cos(pi harmonics / samples).
     """
     count = max(
         force_sample_count(motion.period), SAMPLES_PER_HARMONIC * motion.harmonics
@@ -225,10 +231,10 @@ def smallest_margins(
     """Margins of limits from values over time, each at the time of its minimum.
 
     Args:
-        labels: Names of the limits, k of them.
-        left: Remaining share or distance over time, (k, M).
+        labels: Names of the k limits.
+        left: Remaining fraction or distance at M times, (k, M).
         times: Times, (M,) [s].
-        unit: "" for shares, "m" for distances.
+        unit: "" for fractions, "m" for distances.
     """
     return [
         Margin(label, float(values.min()), float(times[values.argmin()]), unit)
@@ -237,9 +243,9 @@ def smallest_margins(
 
 
 def _limit_shares(motion: Motion, limits: Limits) -> dict[str, Array]:
-    """Absolute positions, velocities, accelerations over their limits, by kind, (M, n) each.
+    """Ratios of absolute positions, velocities and accelerations to limits, by kind, (M, n).
 
-    Positions are relative to the middle of their range.
+    Positions are relative to the middle of the position range.
     """
     return {
         "position": np.abs(motion.q - limits.middle) / limits.half,
@@ -251,9 +257,10 @@ def _limit_shares(motion: Motion, limits: Limits) -> dict[str, Array]:
 def force_margins(path: Path, rules: MotionConstraints) -> tuple[list[Margin], int]:
     """Margins of efforts, wrench and centre of pressure on a path, and number of samples.
 
-    Piecewise linear interpolation of samples h apart is exact to within h^2 / 8 of the second
-    derivative's bound, which is subtracted from the margin. The sampling rate is doubled until that
-    error is at most MAX_INTERPOLATION_ERROR, or MAX_SAMPLES is reached.
+    The error of piecewise linear interpolation between samples h apart is at most h^2 / 8 times the
+    bound of the second derivative; this error is subtracted from the margin. The sampling rate is
+    doubled until the error is at most MAX_INTERPOLATION_ERROR or the number of samples reaches
+    MAX_SAMPLES.
 
     Args:
         path: Motion with bounded derivatives.
@@ -296,8 +303,8 @@ def force_sample_count(duration: float) -> int:
 def derivative_bounds(path: Path, count: int) -> Array:
     """Upper bounds of |q| and the first four absolute derivatives, (5, n, INTERVALS).
 
-    The path is divided into INTERVALS equal intervals. Between samples h apart a function exceeds
-    its samples by at most h/2 times the bound of its derivative.
+    The path is divided into INTERVALS equal intervals. Between samples h apart, a function exceeds
+    its samples by at most h / 2 times the bound of its derivative.
 
     Args:
         path: Motion with bounded derivatives.
@@ -319,7 +326,8 @@ def _distance_margins(
 ) -> tuple[list[Margin], int]:
     """Margins of clearances, and number of postures at which distances were computed.
 
-    Of all pairs that come nearer than the largest clearance plus MAX_DISTANCE.
+    Margins are computed for all pairs that come nearer than the largest clearance plus
+    MAX_DISTANCE.
     """
     if rules.collision is None:
         return [], 0
@@ -339,11 +347,12 @@ def _distance_margins(
 def _advance_conservatively(
     motion: Fourier, rules: MotionConstraints, meter: DistanceMeter
 ) -> tuple[Array, Array]:
-    """Times and distances of all pairs, (P,) and (P, k), by conservative advancement.
+    """Times (P,) and distances of all pairs (P, k) from conservative advancement.
 
-    Each step is so short that no pair can lose its distance beyond the clearance at its largest
-    approach speed. If a step is shorter than MIN_ADVANCE of the period, the advancement ends, and
-    the last distance is set below its clearance: not proven.
+    P is the number of time steps, k the number of pairs. Every step is short enough that no pair
+    can fall below its clearance at its largest approach speed. If a step is shorter than
+    MIN_ADVANCE times the period, the advancement ends, and the last distance is set below the
+    clearance, which is not proven.
 
     Args:
         motion: Periodic motion.
@@ -375,12 +384,12 @@ def _advance_conservatively(
 
 @dataclass(frozen=True, eq=False)
 class Slack:
-    """Smallest margin among all limits of a kind over time.
+    """Smallest margin of all limits of one kind as a function of time.
 
     Attributes:
-        label: Kind of limit, as "velocity limits".
+        label: Kind of limit, such as "velocity limits".
         unit: "%" or "mm".
-        left: Remaining share or distance over time, in `unit`, (M,).
+        left: Remaining percentage or distance at M times, in `unit`, (M,).
     """
 
     label: str
@@ -391,10 +400,10 @@ class Slack:
 def slack_by_kind(
     motion: Fourier, rules: MotionConstraints, times: Array
 ) -> list[Slack]:
-    """Smallest margin over time for each kind of limit, at samples only.
+    """Smallest margin at given times for each kind of limit.
 
-    Clearances are included if a pair comes nearer than `MAX_DISTANCE`; pairs with a reduced
-    clearance are excluded.
+    Margins between the times are not considered. Clearances are included if a pair comes nearer
+    than `MAX_DISTANCE`; pairs with a reduced clearance are excluded.
 
     Args:
         motion: Periodic motion.

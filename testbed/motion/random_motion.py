@@ -29,8 +29,8 @@ from testbed.motion.samples import MIN_RELATIVE_SCALE, NewtonEulerForces
 def rest_posture(rules: MotionConstraints) -> Array:
     """Home posture if feasible at rest, otherwise the most feasible random posture.
 
-    Limits are of efforts, plate, force sensors and clearance; the most feasible posture of
-    `Limits.postures` has the smallest normalised excess.
+    The limits considered are those of motor efforts, force plate, force sensors and clearances. The
+    most feasible posture is that of `Limits.postures` with the smallest normalised excess.
 
     Args:
         rules: Limits of the motion.
@@ -51,9 +51,10 @@ def rest_posture(rules: MotionConstraints) -> Array:
 
 
 def least_effort_posture(tree: Tree, limits: Limits) -> Array:
-    """Posture with the smallest motor effort over its limit at rest, (n,) [rad or m].
+    """Posture with the smallest ratio of motor effort at rest to limit, (n,) [rad or m].
 
-    The largest ratio of all joints counts. Candidates are the home posture and random postures.
+    The ratio of a posture is the largest of all joints. Candidates are the home posture and random
+    postures.
 
     Args:
         tree: The robot.
@@ -65,7 +66,7 @@ def least_effort_posture(tree: Tree, limits: Limits) -> Array:
 
 
 USABLE_SHARE = 0.95
-"""Usable share of every limit; the rest is reserved for the controller."""
+"""Usable fraction of every limit; the rest is reserved for the controller."""
 
 _LIMIT_SAMPLES = (
     500,
@@ -74,7 +75,7 @@ _LIMIT_SAMPLES = (
 _SCORE_SAMPLES = 100, 12  # the same for scores
 
 AMPLITUDE_SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
-"""Amplitude shares of random motions, tried in turn until a motion is proven."""
+"""Amplitude factors of random motions, tried in turn until a motion is proven."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +93,12 @@ class RandomSeries:
     limits: Limits
 
     def sized(self, share: float) -> Fourier:
-        """Motion with a share of the amplitudes, offset clipped to the position limits.
+        """Motion with scaled amplitudes, and an offset that respects the position limits.
 
         The offset is as near to `preferred_offset` as USABLE_SHARE of the position ranges allows.
 
         Args:
-            share: Share of the amplitudes.
+            share: Amplitude factor.
         """
         middle, half = self.limits.middle, self.limits.half
         times = _period_times(self.motion, *_LIMIT_SAMPLES)
@@ -117,7 +118,7 @@ class RandomSeries:
 def draw_random_series(
     limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator
 ) -> RandomSeries:
-    """Draw a random Fourier series, each joint scaled to its most restrictive limit.
+    """Draw a random Fourier series, with each joint scaled to its most restrictive limit.
 
     Coefficients of harmonic k are normally distributed with standard deviation 1/k before scaling
     to USABLE_SHARE of the limits; offsets are uniform in the middle half of the position range.
@@ -147,7 +148,8 @@ def draw_random_series(
 
 
 EXTRA_CANDIDATES, MAX_EXTRA_BATCHES = 20, 2
-"""Number of additional candidates per batch, and of batches, if no candidate is proven."""
+"""Number of additional candidates per batch, and largest number of batches, if no candidate is
+proven."""
 
 
 def random_motion(
@@ -157,21 +159,22 @@ def random_motion(
     harmonics: int = 5,
     seed: np.random.Generator | int = 0,
 ) -> Fourier:
-    """Draw a random Fourier motion, each joint scaled to its most restrictive limit.
+    """Draw a random Fourier motion, with each joint scaled to its most restrictive limit.
 
-    Amplitudes are reduced until the motor efforts are within USABLE_SHARE of their limits, about a
-    random posture or, if no amplitude fits, about the posture with the smallest efforts. The limits
-    are checked at samples only; `testbed excite` proves them.
+    Amplitudes are reduced until the motor efforts are within USABLE_SHARE of their limits, first
+    about a random posture and, if no amplitude suffices there, about the posture with the smallest
+    efforts. The limits are checked at samples only; `testbed excite` proves them.
 
     Args:
         tree: The robot, with a-priori inertias for the efforts.
-        limits: Limits of the joints; default the model file's, completed by defaults.
+        limits: Limits of the joints; by default the limits of the model file, completed by default
+            limits.
         fundamental: Fundamental frequency [Hz].
         harmonics: Number of harmonics.
         seed: Seed of the random numbers, or a random generator.
 
     Returns:
-        The motion; `motion.at(times)` are its samples.
+        Motion; `motion.at(times)` returns its samples.
 
     Raises:
         NoFeasibleMotion: Even slow motions exceed the effort limits.
@@ -200,8 +203,8 @@ def random_motion(
 def _within_efforts(tree: Tree, series: RandomSeries) -> tuple[Fourier | None, Array]:
     """Largest motion of a series within the effort limits, and relative efforts, (n,).
 
-    Relative efforts are peaks over limits. None, and the efforts of the smallest motion, if all
-    motions exceed USABLE_SHARE of the limits.
+    Relative efforts are ratios of peak efforts to limits. If all motions exceed USABLE_SHARE of the
+    limits, the result is None, with the relative efforts of the smallest motion.
 
     Args:
         tree: The robot.
@@ -245,7 +248,7 @@ def best_random_motion(
         rng: Random generator.
 
     Returns:
-        The motion, and its score (`relative_sigma`).
+        Motion, and its score (`relative_sigma`).
 
     Raises:
         NoFeasibleMotion: No motion is proven, or even slow motions exceed the effort limits.
@@ -288,10 +291,10 @@ def best_random_motion(
 
 
 SPEED_SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Speed shares of another motion, tried in turn."""
+"""Speed factors of an equally fast motion, tried in turn."""
 
 TRIALS_PER_SHARE = 20
-"""Number of random phases tried for each share."""
+"""Number of random phases tried for each speed factor."""
 
 
 def equally_fast_motion(
@@ -299,8 +302,9 @@ def equally_fast_motion(
 ) -> Fourier:
     """Proven motion with the amplitudes of a given motion and random phases.
 
-    Rms velocities and accelerations of every joint over a period are equal, or multiplied by a
-    common factor of SPEED_SHARES, at least 0.5, if limits require it.
+    The rms velocities and accelerations of every joint over a period equal those of the given
+    motion. If the limits require it, they are reduced by a common factor of SPEED_SHARES, at least
+    0.5.
 
     Args:
         motion: Given motion.
@@ -322,10 +326,11 @@ def equally_fast_motion(
 def relative_sigma(
     tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array
 ) -> float:
-    """Predicted rms relative standard deviation for a hundred samples per period.
+    """Predicted rms relative standard deviation of the base parameters for 100 samples per period.
 
-    Relative to the a-priori base parameters, small ones being raised (`parameter_scale`). Infinite
-    if the motion does not identify all parameters.
+    Standard deviations are relative to the a-priori base parameters, where small parameters are
+    raised (`parameter_scale`). The result is infinite if the motion does not identify all
+    parameters.
 
     Args:
         tree: The robot, with a-priori inertias.

@@ -1,8 +1,8 @@
-"""Periodic motion between two states of rest, by time scaling along its path.
+"""Periodic motion between two states of rest, from time scaling along the path.
 
 The rate of the path parameter rises smoothly from zero to one, and falls again at the end.
-Positions and distances are those of the periodic path, which is proven, and velocities are no
-larger; accelerations and forces differ, and are proven here.
+Positions and distances are those of the periodic path, which is proven, and velocities do not
+exceed those of the periodic path. Accelerations and forces differ, and are proven here.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Start:
         return Motion(t, *(self.derivative(t, order) for order in range(3)))
 
     def derivative(self, t: Array, order: int) -> Array:
-        """Derivative of order 0 to 4 of the positions at times t since rest, (M, n)."""
+        """Derivatives of order 0 to 4 of the positions at times t since rest, (M, n)."""
         rates = [self._rate(t, k)[:, None] for k in range(order)]
         path_time = self.path_time(t)
         path_derivatives = [
@@ -67,7 +67,7 @@ class Start:
 
     @property
     def fifth_derivative(self) -> Array:
-        """Upper bound of the absolute fifth derivative, (n,)."""
+        """Upper bounds of the absolute fifth time derivatives of the positions, (n,)."""
         rates = [
             np.array(bound / self.duration**k) for k, bound in enumerate(_RATE_BOUNDS)
         ]
@@ -75,7 +75,7 @@ class Start:
 
     @property
     def backwards(self) -> Start:
-        """Start into the time-reversed motion: the end of the motion reversed in time."""
+        """Start into the time-reversed motion, which is the end of the motion in reversed time."""
         motion = self.motion
         reversed_motion = Fourier(
             motion.fundamental, motion.offset, -motion.sine, motion.cosine
@@ -85,7 +85,8 @@ class Start:
     def path_time(self, t: Array) -> Array:
         """Path parameter at times t since rest, (M,) [s].
 
-        Time of the periodic motion with the same posture, at most 0.
+        The path parameter is the time at which the periodic motion has the same posture; it is at
+        most 0.
         """
         return self.duration * (_RATE_POLYNOMIAL.integ()(t / self.duration) - 0.5)
 
@@ -101,7 +102,7 @@ class RestToRest(Value):
     The periodic part begins at t = 0.
 
     Attributes:
-        start: Start into the motion; its mirror image is the end.
+        start: Start into the motion; its mirror image in time is the end.
         periods: Number of periods between start and end.
     """
 
@@ -147,7 +148,7 @@ class RestToRest(Value):
     def _start_and_end_times(self, t: Array) -> tuple[Array, Array]:
         """Times since rest in the start, and until rest in the end, (M,) each [s].
 
-        Clipped to 0 ... `lead`.
+        Both times are clipped to the range 0 ... `lead`.
         """
         lead = self.lead
         return np.clip(t + lead, 0, lead), np.clip(self.end + lead - t, 0, lead)
@@ -156,7 +157,7 @@ class RestToRest(Value):
 def rest_to_rest(
     motion: Fourier, rules: MotionConstraints, duration: float
 ) -> RestToRest:
-    """Extend a proven motion by proven start and end, with a whole number of periods.
+    """Extend whole periods of a proven motion by a proven start and a proven end.
 
     Args:
         motion: Proven periodic motion.
@@ -173,10 +174,13 @@ def rest_to_rest(
 def shortest_start(
     motion: Fourier, rules: MotionConstraints
 ) -> tuple[Start, list[Margin]]:
-    """Shortest proven start, by doubling the duration from MIN_START_SECONDS, with all margins.
+    """Shortest proven start into a motion, with all margins.
 
-    The mirror image of the start leads to rest: it has the same accelerations and, except for
-    friction and the sign of velocities, the same forces; both are proven.
+    The duration is doubled from MIN_START_SECONDS until the start is proven.
+
+    The mirror image of the start in time leads to rest: it has the same accelerations and, except
+    for friction and the sign of velocities, the same forces. Both the start and its mirror image
+    are proven.
 
     Args:
         motion: Proven periodic motion.
@@ -208,7 +212,7 @@ def shortest_start(
 
 
 def _acceleration_margins(start: Start, rules: MotionConstraints) -> list[Margin]:
-    """Margins of the joint accelerations of a start, valid between samples, too."""
+    """Margins of the joint accelerations of a start, also valid between samples."""
     count = force_sample_count(start.duration)
     times = np.arange(count + 1) * start.duration / count
     step = start.duration / count

@@ -1,4 +1,4 @@
-"""Forces and regressor rows at instants of a motion, with derivatives by the motion."""
+"""Forces and regressor rows at instants of a motion, and derivatives with respect to motion."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Stencil:
     """Finite-difference stencil in joint positions, velocities and accelerations.
 
     Attributes:
-        shifts: Displacements of (q, qd, qdd), (E, 3, n); the first is zero.
-        weights: Weights of the E shifted values in the derivatives with respect to q, then qd, then
-            qdd, (3 n, E).
+        shifts: Displacements of (q, qd, qdd) for E evaluations, (E, 3, n); the first is zero.
+        weights: Weights of the E values in the derivatives with respect to q, then qd, then qdd,
+            (3 n, E).
     """
 
     shifts: Array
@@ -43,7 +43,7 @@ class Stencil:
         freeze_arrays(self, weights=(3 * self.shifts.shape[2], len(self.shifts)))
 
     def displaced_motion(self, motion: Motion) -> Motion:
-        """Motion of M samples displaced by each of the shifts: E M samples."""
+        """Motion of E M samples: M samples, displaced by each of E shifts."""
         states = np.stack([motion.q, motion.qd, motion.qdd])
         displaced = states + self.shifts[:, :, None, :]  # (E, 3, M, n)
         columns = displaced.transpose(1, 0, 2, 3).reshape(3, -1, states.shape[2])
@@ -53,8 +53,8 @@ class Stencil:
 def derivative_stencil(tree: Tree) -> Stencil:
     """Finite-difference stencil for regressor rows and forces of a robot.
 
-    Exact, since rows are trigonometric polynomials in revolute positions, quadratic in prismatic
-    positions and velocities, and linear in accelerations.
+    The derivatives are exact, because regressor rows are trigonometric polynomials in revolute
+    positions, quadratic in prismatic positions and in velocities, and linear in accelerations.
 
     Args:
         tree: The robot.
@@ -75,10 +75,11 @@ def derivative_stencil(tree: Tree) -> Stencil:
 
 
 def _position_stencil(joint: Joint) -> tuple[tuple[float, float], ...]:
-    """Shifts of a joint's position [rad or m], with weights in the derivative by position.
+    """Shifts of a joint position [rad or m], and their weights in the derivative.
 
-    Central differences are exact for the quadratic rows of a prismatic joint; four shifts of 45 and
-    135 degrees for trigonometric polynomials up to second order of a revolute joint.
+    Central differences are exact for the rows of a prismatic joint, which are quadratic in the
+    position. Four shifts of +-45 and +-135 degrees are exact for the rows of a revolute joint,
+    which are trigonometric polynomials of up to second order.
     """
     if not joint.revolute:
         return _CENTRAL_DIFFERENCE
@@ -91,12 +92,13 @@ def _position_stencil(joint: Joint) -> tuple[tuple[float, float], ...]:
 
 
 class SampledRows:
-    """Values of a model's regressor slots at samples of a motion, by the compiled kernel.
+    """Regressor entries of a robot model at samples of a motion, from the compiled kernel.
 
-    A slot is an entry of a channel's regressor row on the layout's columns (barycentric parameters,
-    joint laws); a row on the base parameters is the channel's slots times a constant matrix
-    (`channels`). The compiled kernel is used for any number of samples, since a search evaluates
-    the same few hundred samples thousands of times.
+    A slot is a nonzero entry of a channel's regressor row for the columns of the layout
+    (barycentric parameters and joint laws). The regressor row for the base parameters is the
+    product of the channel's slots and a constant matrix (`channels`). The compiled kernel is used
+    for any number of samples, since a search evaluates the same few hundred samples thousands of
+    times.
     """
 
     def __init__(
@@ -107,8 +109,8 @@ class SampledRows:
         Args:
             tree: The robot, with a-priori inertias.
             minimal: Base parameters: delta_d for torque rows, delta_r for wrench rows.
-            joints: Indices of the tree's joints among a motion's columns, for a part of a robot;
-                default all.
+            joints: Columns of a motion that belong to the tree's joints, if the tree is a part of
+                the moving robot; default all columns.
         """
         self._joints = slice(None) if joints is None else np.array(joints)
         self.minimal = minimal
@@ -117,7 +119,7 @@ class SampledRows:
         self._width = len(self.layout.channel_columns)
 
     def slots(self, motion: Motion) -> Array:
-        """Values of all slots at M samples of a motion, (slots, M)."""
+        """Regressor entries of all slots at M samples of a motion, (slots, M)."""
         from testbed.core.kernel import (
             numba_engine,  # a second to import: random motions do not need it
         )
@@ -133,7 +135,11 @@ class SampledRows:
     _workspace: Workspace | None = None
 
     def channels(self) -> Iterator[tuple[slice, Array]]:
-        """Yield each channel's slots, and the matrix from s slots to N base parameters, (s, N)."""
+        """Yield the range of s slots of each channel, and their basis matrix, (s, N).
+
+        The product of slots, (M, s), and basis matrix is the regressor of N base parameters,
+        (M, N).
+        """
         rows = self.layout.rows
         for start, columns in zip(rows.start, self.layout.channel_columns, strict=True):
             yield (
@@ -143,7 +149,10 @@ class SampledRows:
 
     @cached_property
     def model(self) -> Array:
-        """Matrix from slots to joint forces or wrench of the a-priori model, (channels, slots)."""
+        """Matrix that maps slots to forces of the a-priori model, (channels, slots).
+
+        Forces are joint forces or components of the wrench.
+        """
         matrix = np.zeros((self._width, self.layout.rows.slots))
         for c, (slots, basis) in enumerate(self.channels()):
             matrix[c, slots] = basis @ self.delta
@@ -151,14 +160,14 @@ class SampledRows:
 
 
 MIN_RELATIVE_SCALE = 0.05
-"""Smallest scale of a parameter, relative to the largest parameter of the same unit."""
+"""Smallest scale of a parameter, relative to the largest parameter with the same unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonEulerForces:
-    """Forces at G instants of a motion by the recursive Newton-Euler algorithm.
+    """Forces at G instants of a motion, computed by the recursive Newton-Euler algorithm.
 
-    Independent of the kernel used by the search, and therefore used for proofs.
+    The algorithm is independent of the kernel of the search, and therefore used for proofs.
 
     Attributes:
         tree: The robot.
@@ -169,19 +178,19 @@ class NewtonEulerForces:
     motion: Motion
 
     def forces(self, model: Signal) -> Array:
-        """Joint forces for model "torque", else bedplate wrench, (channels, G) [N m, N]."""
+        """Joint forces for the signal "torque", else bedplate wrench, (channels, G) [N m, N]."""
         function = joint_forces if model == "torque" else base_wrench
         return function(self.tree, self.motion).T
 
 
 @dataclass(frozen=True, eq=False)
 class KernelForces:
-    """Forces and regressor rows at G instants by the kernel, with finite-difference derivatives.
+    """Forces and regressor rows at G instants from the kernel, with finite-difference derivatives.
 
     Attributes:
         motion: Motion of G samples.
-        rows: Sampled rows by signal.
-        stencil: Finite-difference stencil; None without derivatives.
+        rows: Sampled rows, keyed by signal.
+        stencil: Finite-difference stencil; None for no derivatives.
     """
 
     motion: Motion
@@ -190,7 +199,10 @@ class KernelForces:
 
     @cached_property
     def slots(self) -> Mapping[Signal, Array]:
-        """Slot values by signal at each shift of the stencil, (slots, E, G); first shift zero."""
+        """Regressor entries at E shifts of the stencil, keyed by signal, (slots, E, G).
+
+        The first shift is zero.
+        """
         motion = self.motion
         displaced = (
             motion if self.stencil is None else self.stencil.displaced_motion(motion)
@@ -204,14 +216,14 @@ class KernelForces:
 
     @cached_property
     def _shifted_forces(self) -> Mapping[Signal, Array]:
-        """Forces of the a-priori model by signal at each shift, (channels, E, G)."""
+        """Forces of the a-priori model at E shifts, keyed by signal, (channels, E, G)."""
         return {
             model: np.tensordot(rows.model, self.slots[model], 1)
             for model, rows in self.rows.items()
         }
 
     def forces(self, model: Signal) -> Array:
-        """Joint forces or bedplate wrench by the a-priori model, (channels, G) [N m, N]."""
+        """Joint forces or bedplate wrench of the a-priori model, (channels, G) [N m, N]."""
         return self._shifted_forces[model][:, 0]
 
     def force_slopes(self, model: Signal) -> Array:

@@ -1,4 +1,4 @@
-"""Watched pairs of bodies: of the robot, pedestal, floor and obstacles."""
+"""Selection of watched pairs among the bodies of robot, pedestal, floor and obstacles."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from testbed.motion.proof import MotionConstraints
 from testbed.motion.terms import EffortTerm, ForceTerm
 
 MIN_CONTACT_SHARE = 0.9
-"""Smallest share of random postures in contact for a pair that is not watched."""
+"""Fraction of random postures in contact from which a pair of bodies is not watched."""
 
 MAX_NEAR_RATIO = 1.5
-"""Usual distance over clearance below which a pair keeps half its usual distance."""
+"""Ratio of usual distance to clearance below which the clearance is half the usual distance."""
 
 MAX_DEPTH_RATIO = 0.1
 """Largest depth of joints below the floor, relative to the robot's reach."""
@@ -36,12 +36,12 @@ MAX_DEPTH_RATIO = 0.1
 
 @dataclass(frozen=True, eq=False)
 class WatchedPairs:
-    """Watched pairs of bodies and required distances.
+    """Watched pairs of bodies, whose distances are limited, and required distances.
 
     Attributes:
-        collision: Shapes and watched pairs; None without watched pairs.
-        clearance: Required distance of each pair, (k,) [m].
-        diagnostics: Diagnostics of pairs that are not watched, or have a reduced clearance.
+        collision: Shapes and watched pairs; None if no pair is watched.
+        clearance: Required distances of the k watched pairs, (k,) [m].
+        diagnostics: Diagnostics of pairs that are not watched or have a reduced clearance.
     """
 
     collision: CollisionModel | None = None
@@ -56,12 +56,12 @@ def motion_constraints(
     terms: Iterable[ForceTerm],
     watched_pairs: WatchedPairs | MotionConstraints,
 ) -> MotionConstraints:
-    """Combine limits of joints, motors, plate, sensors and clearances into rules of a motion.
+    """Combine limits of joints, motors, plate, sensors and clearances into constraints of a motion.
 
     Args:
         tree: The robot.
         limits: Limits of the joints.
-        margin: Usable share of the limits.
+        margin: Usable fraction of the limits.
         terms: Limits of plate and force sensors; limits of motor efforts are added if some are
             finite.
         watched_pairs: Watched pairs of bodies, with clearances and diagnostics.
@@ -84,9 +84,9 @@ def find_watched_pairs(
     exclude: Iterable[tuple[str, str]] = (),
     floor: float | str | None = None,
 ) -> WatchedPairs:
-    """Find the pairs of bodies that a motion can keep apart, and required distances.
+    """Find the pairs of bodies that a motion can keep apart, and their required distances.
 
-    Pairs are selected by `select_watched_pairs`. A model file without shapes gives no pairs, with a
+    Pairs are selected by `select_watched_pairs`. A model file without shapes yields no pairs and a
     diagnostic.
 
     Args:
@@ -95,12 +95,12 @@ def find_watched_pairs(
         clearance: Required distance [m].
         obstacles: Shapes around the robot, in the bedplate's frame.
         exclude: Names of the bodies of excluded pairs.
-        floor: Height of the floor in the bedplate's frame [m]; any text, as "off", for no floor;
-            None for the lowest point of the pedestal, or no floor, with a diagnostic, if the robot
-            hangs below that point.
+        floor: Height of the floor in the bedplate's frame [m]. Any text, such as "off", means no
+            floor. None means the lowest point of the pedestal; if the robot hangs below that point,
+            there is no floor, with a diagnostic.
 
     Raises:
-        ExperimentError: There are obstacles, and the model file has no shapes.
+        ExperimentError: Obstacles are given, but the model file has no shapes.
         UnknownName: A body in `exclude` does not exist.
     """
     model = model_file_of(tree)
@@ -135,8 +135,8 @@ def find_watched_pairs(
 def _floor_height(tree: Tree, shapes: tuple[Shape, ...]) -> float | None:
     """Height of the pedestal's lowest point, or of the plate's plane [m].
 
-    None if a body's origin is lower by more than MAX_DEPTH_RATIO of the robot's reach in the zero
-    posture: the robot hangs.
+    The height is None if the robot hangs: in the zero posture, the origin of a body is lower by
+    more than MAX_DEPTH_RATIO times the robot's reach.
     """
     lowest_points = (
         float(shape_bounds(shape)[0][2]) for shape in shapes if shape.body < 0
@@ -152,10 +152,12 @@ def select_watched_pairs(
 ) -> WatchedPairs:
     """Select pairs with informative shapes, and the distance that each pair can keep.
 
-    Pairs in contact in MIN_CONTACT_SHARE of the random postures are dropped: their shapes are too
-    coarse. Pairs nearer than MAX_NEAR_RATIO times the clearance in the home posture, or in
-    MIN_CONTACT_SHARE of the random postures, keep half that (or the median) distance. Obstacles are
-    always watched with full clearance. Diagnostics name dropped pairs and reduced clearances.
+    Pairs in contact in at least a fraction MIN_CONTACT_SHARE of the random postures are dropped, as
+    their shapes are too coarse. A distance below MAX_NEAR_RATIO times the clearance is small. The
+    usual distance of a pair is its distance in the home posture; or its median distance, if this is
+    smaller and the distance is small in a fraction MIN_CONTACT_SHARE of the random postures. If the
+    usual distance is small, the clearance is reduced to half of it. Obstacles are always watched
+    with the full clearance. Diagnostics list dropped pairs and reduced clearances.
 
     Args:
         collision: All pairs.

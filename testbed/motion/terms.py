@@ -1,4 +1,4 @@
-"""Limits of forces of plate, force sensors and motors, as functions of a motion.
+"""Limits on forces of plate, force sensors and motors, as functions of a motion.
 
 Bounds of the second time derivatives allow proofs between samples.
 """
@@ -22,11 +22,11 @@ from testbed.motion.samples import KernelForces, MotionSamples, SampledRows
 
 @dataclass(frozen=True, eq=False)
 class ForceCurvatureBounds:
-    """Upper bounds of absolute second time derivatives of forces, in W time intervals.
+    """Upper bounds of the absolute second time derivatives of forces, in W time intervals.
 
     Attributes:
-        joints: Bounds for the joint forces, drives and friction excluded, (n, W) [N m/s^2 or
-            N/s^2].
+        joints: Bounds for the joint forces, excluding drives and friction, (n, W)
+            [N m/s^2 or N/s^2].
         force: Bounds for the force of the bedplate or of a force sensor, (W,) [N/s^2].
         moment: Bounds for the moment about O^0, or about the sensor's origin, (W,) [N m/s^2].
         motion: Bounds of the joint positions and their first four derivatives, (5, n, W).
@@ -51,7 +51,7 @@ class ForceCurvatureBounds:
 def force_curvature_bounds(tree: Tree, motion: Array) -> ForceCurvatureBounds:
     """Upper bounds of the second time derivatives of joint forces and wrench.
 
-    Newton-Euler recursion with norms in place of vectors.
+    The bounds result from a Newton-Euler recursion with norms in place of vectors.
 
     Args:
         tree: The robot, with a-priori inertias.
@@ -90,7 +90,8 @@ def force_curvature_bounds(tree: Tree, motion: Array) -> ForceCurvatureBounds:
 class _MotionBounds:
     """Bounds of a body's motion and its first two time derivatives, (3, W) each.
 
-    Row 0 bounds the norm of the vector in the body's axes, rows 1 and 2 those of its derivatives.
+    Row 0 bounds the norm of the vector in the body's axes; rows 1 and 2 bound the norms of its
+    first and second time derivatives.
     """
 
     speed: Array  # angular velocity
@@ -101,7 +102,7 @@ class _MotionBounds:
 
     @property
     def turning(self) -> Array:
-        """Bound of the acceleration relative to the origin per distance [1/s^2]."""
+        """Bound of the acceleration relative to the origin per unit distance [1/s^2]."""
         return self.angular + _jet_product(self.speed, self.speed)
 
 
@@ -170,7 +171,7 @@ def _jet_product(a: Array, b: Array) -> Array:
 
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 SIGNS = np.array([[1.0], [-1.0]])
-"""Signs of a force that are both limited."""
+"""Signs of a force; both signs are limited."""
 PRESSURE_UNIT = 100.0
 """Force that normalises the limits of the centre of pressure [N]."""
 
@@ -180,8 +181,8 @@ class PlateRange:
     """Measuring ranges of a force plate, and its support area.
 
     Attributes:
-        wrench: Largest absolute value of each channel, pedestal included, (6,) [N, N m]; infinite
-            without limit.
+        wrench: Largest absolute value of each channel, including the pedestal, (6,) [N, N m];
+            infinite for no limit.
         half_lengths: Half lengths along x and y of the area in which the centre of pressure must
             stay, (2,) [m]; None for a plate that is bolted down.
     """
@@ -201,14 +202,15 @@ class PlateRange:
             )
 
     def rows(self, margin: float) -> tuple[tuple[str, ...], Array, Array]:
-        """Labels, rows A (k, 6) and bounds b (k,) of the limits A wrench <= b.
+        """Labels, matrix A (k, 6) and bounds b (k,) of the limits `A wrench <= b`.
 
-        Both signs of every channel with finite range, as shares of the range; then, with
-        `half_lengths`, both signs of |My| <= margin x Fz and |Mx| <= margin y Fz, x and y the half
-        lengths, normalised by PRESSURE_UNIT. The wrench includes the pedestal.
+        The first limits apply to both signs of every channel with a finite range, normalised by the
+        range. With `half_lengths` x and y, the limits |My| <= margin x Fz and |Mx| <= margin y Fz
+        of the centre of pressure follow, normalised by PRESSURE_UNIT x and PRESSURE_UNIT y,
+        respectively. The wrench includes the pedestal.
 
         Args:
-            margin: Usable share of each range.
+            margin: Usable fraction of each range.
         """
         limited = np.flatnonzero(np.isfinite(self.wrench))
         labels = [f"plate {CHANNELS[c]}" for c in limited]
@@ -227,12 +229,12 @@ class PlateRange:
 
 
 class ForceTerm:
-    """Linear combinations of forces that must stay below bounds.
+    """Upper bounds on linear combinations of forces.
 
     Attributes:
-        model: Signal: joint forces ("torque") or wrench ("wrench").
+        model: Signal of the forces: "torque" for joint forces, "wrench" for the wrench.
         labels: Name of each limit, (k,).
-        rows: Combinations of the forces, (k, c).
+        rows: Coefficients of k linear combinations of c forces, (k, c).
         most: Upper bounds of the combinations, (k,).
     """
 
@@ -254,7 +256,7 @@ class ForceTerm:
         return bounds.of_signal(self.model)
 
     def values(self, samples: MotionSamples) -> Array:
-        """Normalised forces minus upper bounds, (k, G); negative where respected."""
+        """Normalised excess of the forces over the bounds, (k, G); negative where respected."""
         return self.rows @ self.forces(samples) - self.most[:, None]
 
     def slopes(self, samples: KernelForces) -> Array:
@@ -275,7 +277,7 @@ class PlateTerm(ForceTerm):
         Args:
             plate: Measuring ranges.
             pedestal: Wrench on the pedestal, (6,) [N, N m].
-            margin: Usable share of each range.
+            margin: Usable fraction of each range.
         """
         labels, rows, bounds = plate.rows(margin)
         super().__init__("wrench", labels, rows, bounds - rows @ pedestal)
@@ -298,7 +300,7 @@ class SensorTerm(PlateTerm):
             tree: The moving robot.
             beyond: Part of the robot beyond the sensor, with a-priori inertias.
             ranges: Measuring ranges of the sensor.
-            margin: Usable share of each range.
+            margin: Usable fraction of each range.
             name: Name of the sensor, in place of "plate" in the labels.
         """
         super().__init__(ranges, pedestal_wrench(beyond), margin)
@@ -309,7 +311,7 @@ class SensorTerm(PlateTerm):
         self._sampled = SampledRows(beyond, minimal, self._joints)
 
     def forces(self, samples: MotionSamples) -> Array:
-        """Wrench at the sensor, pedestal excluded, at G instants, (6, G) [N, N m]."""
+        """Wrench at the sensor, excluding the pedestal, at G instants, (6, G) [N, N m]."""
         motion = samples.motion
         states = (state[:, self._joints] for state in (motion.q, motion.qd, motion.qdd))
         return base_wrench(self._part, Motion(motion.t, *states)).T
@@ -339,7 +341,7 @@ class EffortTerm(ForceTerm):
         Args:
             tree: The robot, with a-priori inertias and friction.
             limits: Limits of the motors.
-            margin: Usable share of each limit.
+            margin: Usable fraction of each limit.
 
         Raises:
             NoFeasibleMotion: A motor cannot overcome the dry friction of its joint.

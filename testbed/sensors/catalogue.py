@@ -1,4 +1,4 @@
-"""Catalogue of sensor errors: every class in a module of `testbed/sensors/errors`."""
+"""Catalogue of sensor errors: all classes in the modules of `testbed/sensors/errors`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from testbed.sensors.systematic_error import SystematicError
 
 @cache
 def sensor_errors() -> tuple[type[SensorError], ...]:
-    """Classes of all sensor errors, the last stage of the measuring chain first.
+    """Classes of all sensor errors, beginning with the last stage of the measuring chain.
 
-    Within a stage, errors of the wrench come before errors of tare, torques and positions; then by
-    kind. The classes include abstract ones, which cannot be simulated.
+    Within a stage, errors are sorted by signal (wrench, tare, torques, positions) and then by kind.
+    The classes include abstract classes, which cannot be simulated.
     """
 
     def classes() -> Iterator[type[SensorError]]:
@@ -40,13 +40,13 @@ def sensor_errors() -> tuple[type[SensorError], ...]:
 
 @cache
 def simulated_errors() -> Mapping[str, type[SensorError]]:
-    """Sensor errors that can be simulated, by kind, in the order of the measuring chain."""
+    """Sensor errors that can be simulated, keyed by kind, in measuring chain order."""
     return {e.kind: e for e in reversed(sensor_errors()) if not inspect.isabstract(e)}
 
 
 @cache
 def systematic_errors() -> Mapping[str, type[SystematicError]]:
-    """Sensor errors with coefficients, by term, in the order of their correction."""
+    """Sensor errors with coefficients, keyed by term, in the order of their correction."""
     errors_with_coefficients = (
         e for e in sensor_errors() if issubclass(e, SystematicError)
     )
@@ -67,9 +67,9 @@ def candidate_errors() -> tuple[type[SystematicError], ...]:
 
 
 def terms_by_name() -> Mapping[str, str]:
-    """Terms that can be estimated, by the names of kinds and by the terms.
+    """Terms that can be estimated, keyed by the names of kinds and of terms.
 
-    A kind that is estimated by a more general term (`estimated_as`) has that term.
+    A kind that is estimated through a more general term (`estimated_as`) is mapped to that term.
     """
     by_kind = {e.kind: e.estimated_as or e.term for e in systematic_errors().values()}
     estimable_terms = {e.term: e.term for e in estimable_errors()}
@@ -84,10 +84,10 @@ def term_by_name(name: str) -> str:
     """Term of a sensor error among the unknowns of an estimate.
 
     Args:
-        name: Name of the kind or of the term, as "plate_bias" or "bias".
+        name: Name of the kind or of the term, such as "plate_bias" or "bias".
 
     Raises:
-        UnknownName: No sensor error of that name can be estimated.
+        UnknownName: No sensor error of this name can be estimated.
     """
     known = terms_by_name()
     if name not in known:
@@ -98,16 +98,16 @@ def term_by_name(name: str) -> str:
 def coefficients_by_error(
     tree: Tree, values: Mapping[str, float]
 ) -> Mapping[type[SystematicError], list[float]]:
-    """Values of the coefficients by sensor error, neutral where not given.
+    """Values of the coefficients, keyed by sensor error; missing values are neutral.
 
-    Of errors that can be estimated; sensor errors without a given coefficient are left out.
+    The result contains the errors that can be estimated and that have at least one given value.
 
     Args:
         tree: The robot.
-        values: Values by coefficient name, as "pose/rx".
+        values: Values keyed by coefficient name, such as "pose/rx".
 
     Returns:
-        Values in the order of the error's `coefficients`, by class.
+        Values in the order of the error's `coefficients`, keyed by class.
 
     Raises:
         UnknownName: No sensor error has such a coefficient.

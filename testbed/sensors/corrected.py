@@ -15,10 +15,10 @@ from testbed.sensors.systematic_error import SystematicError
 
 
 class CorrectedSource(DerivedSource):
-    """Recording corrected for sensor errors, joints in the order of the tree.
+    """Recording corrected for sensor errors, with joints in the order of the tree.
 
-    The errors are corrected one after the other, from the end of the measuring chain. Samples at
-    the ends that a delay leaves without neighbours are left out.
+    The errors are corrected one after the other, beginning at the end of the measuring chain.
+    Samples at both ends that lack neighbours for the correction of a delay are left out.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class CorrectedSource(DerivedSource):
 
         Args:
             source: The measured recording.
-            values: Coefficients of the sensor errors, by class.
+            values: Coefficients of the sensor errors, keyed by class.
             tree: The robot.
         """
         self._source, self._values, self._tree = source, values, tree
@@ -43,7 +43,7 @@ class CorrectedSource(DerivedSource):
         )
 
     def part(self, first: int, last: int) -> Recording:
-        """Corrected samples `first` to `last` - 1, without true signals."""
+        """Corrected samples `first` to `last - 1`, without true signals."""
         recording = self._source.part(first, last + 2 * self._lost_samples).ordered(
             self._tree
         )
@@ -60,13 +60,13 @@ class CorrectedSource(DerivedSource):
 def corrected(source: Source, tree: Tree, coefficients: Mapping[str, float]) -> Source:
     """Recording corrected for sensor errors estimated from another recording.
 
-    Errors that differ between recordings, the plate's zero and drift, are not corrected; without
-    other errors, the recording is returned unchanged.
+    Errors that differ between recordings (zero and drift of the plate) are not corrected. If there
+    are no other errors, the recording is returned unchanged.
 
     Args:
-        source: The recording, of the same sensors.
+        source: The recording, made with the same sensors.
         tree: The robot.
-        coefficients: Values by name, as "pose/rx"; the others are neutral.
+        coefficients: Values keyed by name, such as "pose/rx"; other coefficients are neutral.
 
     Raises:
         UnknownName: No sensor error has such a coefficient.

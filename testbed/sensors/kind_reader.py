@@ -1,4 +1,4 @@
-"""Construction of sensor errors and effects from tables of files."""
+"""Construction of sensor errors and effects from tables in files."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def value_from_table(
     """Build a value, such as a sensor error or an effect, from its table.
 
     Args:
-        table: `kind` and the keys of that kind; a value is returned unchanged.
-        what: Noun for all kinds in messages: "fault" or "effect".
-        kinds: Classes by kind.
+        table: Table with `kind` and the keys of this kind; a `KindTable` is returned unchanged.
+        what: Noun used in messages for all kinds: "fault" or "effect".
+        kinds: Classes, keyed by kind.
 
     Raises:
         SettingsError: The kind or a key is unknown, or a value is not allowed.
@@ -45,12 +45,12 @@ def value_from_table(
 
 
 def kind_by_name(name: str, what: str, kinds: Mapping[str, type[KindT]]) -> type[KindT]:
-    """Class of a kind.
+    """Class of the kind with a given name.
 
     Args:
         name: Name of the kind.
-        what: Noun for all kinds in messages: "fault" or "effect".
-        kinds: Classes by kind.
+        what: Noun used in messages for all kinds: "fault" or "effect".
+        kinds: Classes, keyed by kind.
 
     Raises:
         SettingsError: The kind is unknown.
@@ -62,7 +62,7 @@ def kind_by_name(name: str, what: str, kinds: Mapping[str, type[KindT]]) -> type
 
 
 class TableField:
-    """Annotation for pydantic: a field is read from a table and written as a table.
+    """Pydantic annotation of a field that is read from and written as a table.
 
     Attributes:
         read: Function that builds the value from its table.
@@ -85,7 +85,7 @@ def sensor_error_from_table(table: object) -> SensorError:
     """Build a sensor error from its table in an experiment file.
 
     Args:
-        table: `kind` and the keys of that kind; a sensor error is returned unchanged.
+        table: Table with `kind` and the keys of this kind; a sensor error is returned unchanged.
 
     Raises:
         SettingsError: The kind or a key is unknown, or a value is not allowed.

@@ -1,11 +1,12 @@
 """Base class of values configured by a table with a kind and bounded keys.
 
-A kind is one frozen dataclass: `kind` as a class variable, a field for each key. Sensor errors and
-effects in the plant are such values. The docstring of the class describes the kind: a sentence,
-details, the source of the default size, and the keys.
+Each kind is a frozen dataclass with the class variable `kind` and one field per key. Sensor errors
+and effects in the plant are defined in this way. The docstring of the class describes the kind: a
+summary, details, the source of the default size, and the keys.
 
-For a key with one number per joint, a single number holds for all joints and a list gives one each;
-in a table by joint name, omitted joints have zero, or the default where zero is not allowed.
+For a key with one number per joint, a single number applies to all joints, and a list gives one
+number per joint. In a table keyed by joint name, omitted joints have zero, or the default value if
+zero is not allowed.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.summary_table import Value
 
 MAX_MAGNITUDE = 1e9
-"""Largest magnitude of a number; its inverse is the smallest positive number."""
+"""Largest allowed magnitude of a number; its inverse is the smallest allowed positive number."""
 
 
 @dataclass(frozen=True)
 class PerMember:
-    """Annotation of a key's type: one value for all members, or one value per member.
+    """Annotation of a key's type: a common value or one value per member.
 
     Attributes:
         members: "joints", "axes", "channels" or "matrix".
@@ -43,7 +44,7 @@ class RandomDefault:
     """Annotation of a key's type: sign or phase drawn at random if not given.
 
     Attributes:
-        what: "sign", drawn for a single number, or "phase", drawn for an omitted value.
+        what: "sign", drawn if a single number is given, or "phase", drawn if the value is omitted.
     """
 
     what: str
@@ -54,11 +55,11 @@ RANDOM_SIGN, RANDOM_PHASE = RandomDefault("sign"), RandomDefault("phase")
 PerJoint: TypeAlias = Annotated[
     float | tuple[float, ...] | Mapping[str, float], PerMember("joints")
 ]
-"""One number for all joints, a list in their order, or a table by joint name."""
+"""One number for all joints, a list in joint order, or a table keyed by joint name."""
 PerAxis: TypeAlias = Annotated[float | tuple[float, ...], PerMember("axes")]
-"""One number for x, y and z, or three."""
+"""One number for x, y and z, or three numbers."""
 PerChannel: TypeAlias = Annotated[float | tuple[float, ...], PerMember("channels")]
-"""One number for all channels of the plate, or six: Fx, Fy, Fz, Mx, My, Mz."""
+"""One number for all channels of the plate, or six numbers: Fx, Fy, Fz, Mx, My, Mz."""
 Matrix: TypeAlias = Annotated[tuple[tuple[float, ...], ...], PerMember("matrix")]
 """Matrix (6, 6), as six rows."""
 
@@ -77,13 +78,13 @@ class Key:
     """Type, bounds and random default of a key in the table of a kind.
 
     Attributes:
-        members: Members that a value may be given for: "joints", "axes", "channels"; or "matrix"
-            for (6, 6), "word" for a word instead of a number, "" for a single number.
+        members: Members for which values may be given: "joints", "axes" or "channels"; "matrix" for
+            a (6, 6) matrix, "word" for a word instead of a number, "" for a single number.
         sample: Random default: "sign" of a single number, "phase" of an omitted value, "" for none.
-        least: Smallest value.
-        most: Largest value.
-        positive: Zero is not allowed.
-        whole: Only integers are allowed.
+        least: Smallest allowed value.
+        most: Largest allowed value.
+        positive: True if zero is not allowed.
+        whole: True if only integers are allowed.
     """
 
     members: str = ""
@@ -94,7 +95,7 @@ class Key:
     whole: bool = False
 
     def validated_value(self, value: Any, label: str) -> Any:
-        """Value of the key, validated and converted to floats, tuples or dictionaries.
+        """Validate a value of the key, and convert it to floats, tuples or dictionaries.
 
         Args:
             value: Value from Python or TOML.
@@ -113,7 +114,7 @@ class Key:
             ) from None
 
     def _converted_value(self, value: Any) -> Any:
-        """Value converted to float, integer, word, tuple or dictionary by joint name.
+        """Convert a value to a float, integer, word, tuple, or dictionary keyed by joint name.
 
         Raises:
             TypeError, ValueError, OverflowError: The value is not allowed.
@@ -136,10 +137,10 @@ class Key:
         return self._number(value)
 
     def _number(self, value: Any) -> float | int:
-        """Value converted to a number within the bounds.
+        """Convert a value to a number within the bounds.
 
         Raises:
-            TypeError, ValueError: The value is no number, or not allowed.
+            TypeError, ValueError: The value is not a number, or is not allowed.
         """
         if isinstance(value, bool | str | bytes):
             raise TypeError
@@ -168,7 +169,7 @@ class Key:
 
 @cache
 def _keys_of_kind(kind: type) -> dict[str, Key]:
-    """Keys of a kind, from the types of its fields, without fields of `repr=False`."""
+    """Keys of a kind, from the types of its fields, except fields with `repr=False`."""
     hints = get_type_hints(kind, include_extras=True)
     return {
         field.name: _key_of_type(hints[field.name])
@@ -178,7 +179,7 @@ def _keys_of_kind(kind: type) -> dict[str, Key]:
 
 
 def _key_of_type(hint: Any) -> Key:
-    """Key of a field's type, as `Annotated[PerJoint, Ge(0)]`."""
+    """Key that corresponds to the type of a field, such as `Annotated[PerJoint, Ge(0)]`."""
     leaves = [*_type_leaves(hint)]
     properties: dict[str, Any] = {
         "whole": int in leaves,
@@ -200,7 +201,7 @@ def _key_of_type(hint: Any) -> Key:
 
 
 def _type_leaves(hint: Any) -> Iterator[Any]:
-    """Types and annotations that compose a type."""
+    """Types and annotations of which a type is composed."""
     arguments = get_args(hint)
     for argument in arguments:
         yield from _type_leaves(argument)
@@ -225,30 +226,30 @@ class KindTable(Value, ABC):
                 )
 
     def __eq__(self, other: object) -> bool:
-        """Test whether the tables are equal; values set by the robot or plate are ignored."""
+        """Test whether the tables are equal; values determined by robot or plate are ignored."""
         return isinstance(other, KindTable) and self.table() == other.table()
 
     def __hash__(self) -> int:
         return hash(self.kind)
 
     def _default_value(self, name: str) -> Any:
-        """Default value of a key; None if it has none."""
+        """Default value of a key; None if the key has no default."""
         default = type(self).__dataclass_fields__[name].default
         return None if default is MISSING else default
 
     @classmethod
     def known_keys(cls) -> dict[str, Key]:
-        """Keys of the table by name, without `kind`."""
+        """Keys of the table, keyed by name, without `kind`."""
         return _keys_of_kind(cls)
 
     def table(self) -> dict[str, Any]:
-        """Table of the value for a file, with all defaults."""
+        """Table that represents the value in a file, including all defaults."""
         values = {name: _toml_value(getattr(self, name)) for name in self.known_keys()}
         return {"kind": self.kind} | {k: v for k, v in values.items() if v is not None}
 
     @property
     def by_joint(self) -> dict[str, Mapping[str, float]]:
-        """Values that are given by joint name, by key."""
+        """Values that are given by joint name, as one mapping per key."""
         values = {name: getattr(self, name) for name in self.known_keys()}
         return {
             name: value for name, value in values.items() if isinstance(value, Mapping)
@@ -257,8 +258,8 @@ class KindTable(Value, ABC):
     def joint_values(self, names: tuple[str, ...]) -> dict[str, Any]:
         """Values of per-joint keys in joint order; a single number is kept.
 
-        By name of the key. Joints omitted in a table by joint name have zero, or the key's default
-        if zero is not allowed.
+        The result is keyed by the name of the key. Joints omitted in a table keyed by joint name
+        have zero, or the key's default if zero is not allowed.
 
         Args:
             names: Joint names.
@@ -277,7 +278,7 @@ class KindTable(Value, ABC):
     def _joint_value(self, name: str, key: Key, names: tuple[str, ...]) -> Any:
         """Value of a per-joint key in joint order; a single number is kept.
 
-        Joints omitted in a table by joint name have zero, or the key's default if zero is not
+        Joints omitted in a table keyed by joint name have zero, or the key's default if zero is not
         allowed.
 
         Args:
@@ -311,7 +312,7 @@ def joint_array(value: PerJoint) -> Array:
 
 
 def _toml_value(value: Any) -> Any:
-    """Value converted to lists and dictionaries, for TOML."""
+    """Convert a value to lists and dictionaries, for TOML."""
     if isinstance(value, tuple):
         return [_toml_value(item) for item in value]
     return dict(value) if isinstance(value, Mapping) else value

@@ -1,4 +1,4 @@
-"""Descriptions of sensor errors and effects, for documents and `testbed list`."""
+"""Descriptions of sensor errors and effects, for the documentation and `testbed list`."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class KindDescription:
 
     Attributes:
         kind: Name of the kind.
-        summary: Description in a sentence.
+        summary: Description in one sentence.
         details: Formulas and further details; may be "".
         source: Source of the default size.
-        keys: (name, default, meaning with unit) of each key.
+        keys: Name, default value, and meaning with unit of each key.
         example: Inline table for an experiment file.
     """
 
@@ -35,11 +35,11 @@ class KindDescription:
 def describe_kind(kind: type[KindTable]) -> KindDescription:
     """Description of a kind, from its docstring and its default values.
 
-    The docstring has the summary as first paragraph, details, the paragraph "Source", and the
-    meanings of the keys as "Attributes:".
+    The docstring consists of the summary as the first paragraph, details, the paragraph "Source",
+    and the meanings of the keys under "Attributes:".
 
     Args:
-        kind: Class of the kind; all its keys have defaults.
+        kind: Class of the kind; all keys must have defaults.
     """
     text = inspect.getdoc(kind) or ""
     body, _, attributes = text.partition("\n\nAttributes:\n")
@@ -67,7 +67,7 @@ def describe_kind(kind: type[KindTable]) -> KindDescription:
 
 
 def kind_table_lines(entries: list[KindDescription]) -> list[str]:
-    """Markdown table of kinds: name, description, keys and source of the size."""
+    """Lines of a Markdown table of kinds: name, description, keys and source of the size."""
     lines = ["| kind | what it is | keys: default, meaning | source of the size |"]
     lines += ["| --- | --- | --- | --- |"]
     for entry in entries:
@@ -81,12 +81,12 @@ def kind_table_lines(entries: list[KindDescription]) -> list[str]:
 
 
 def _single_line(text: str) -> str:
-    """Text in one line, with single spaces."""
+    """Text on one line, with single spaces."""
     return " ".join(text.split())
 
 
 def _toml_text(value: Any) -> str:
-    """Default value as TOML text, numbers with six digits."""
+    """Default value as TOML text; numbers have six significant digits."""
     if value is None:
         return "none"
     return json.dumps(value) if isinstance(value, str) else f"{value:.6g}"

@@ -1,7 +1,7 @@
-"""Predicted wrench around the rows of a window, and the filter on rows.
+"""Predicted wrench at the regression rows of a window, and the filter for rows.
 
-Regressor columns of sensor errors are computed from the predicted wrench. Its instants are fewer
-than the samples: the signals are slow after low-pass filtering.
+The regressor columns of sensor errors are computed from the predicted wrench. It is evaluated at
+fewer instants than there are samples, because the signals are slow after low-pass filtering.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ class RowFilter:
     """Low-pass filter with decimation, from instants or samples to rows.
 
     Rows are the times at which the filtered signals enter the regression; instants are every
-    `stride`-th sample. J instants and L samples on either side of a row have a weight.
+    `stride`-th sample. The filter has weights for J instants, or L samples, on either side of a
+    row.
 
     Attributes:
         stride: Number of samples from one instant to the next.
-        weights: Weights of the instants around a row, (2 J + 1,), of sum one.
-        derivative_weights: Weights for the derivative of a signal in time, (2 J + 1,) [1/s].
-        row_step: Number of instants from row to row.
-        sample_weights: Weights of all samples around a row, (2 L + 1,), of sum one.
+        weights: Weights of the instants around a row, with sum one, (2 J + 1,).
+        derivative_weights: Weights for the time derivative of a signal, (2 J + 1,) [1/s].
+        row_step: Number of instants from one row to the next.
+        sample_weights: Weights of all samples around a row, with sum one, (2 L + 1,).
         sample_derivative_weights: Weights of all samples for the time derivative, (2 L + 1,) [1/s].
     """
 
@@ -45,23 +46,23 @@ class RowFilter:
 
     @property
     def half_width(self) -> int:
-        """Number of samples that the instants extend to either side of a row."""
+        """Half-length of the filter: number of samples from a row to its outermost instants."""
         return self.stride * (len(self.weights) // 2)
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedWrench:
-    """Motion of a window and the wrench predicted by an estimate, around its rows.
+    """Motion in a window, and the wrench that an estimate predicts for its rows.
 
     Attributes:
         tree: The robot; only its geometry is used.
-        gravity: Gravity vector, (3,) [m/s^2], bedplate frame.
+        gravity: Gravity vector in the bedplate frame, (3,) [m/s^2].
         theta: Barycentric parameters consistent with the estimate, (n, 10).
-        motion: Motion at m instants; its time begins at the first instant.
+        motion: Motion at m instants; time is zero at the first instant.
         tare: Static wrench of the pedestal, (6,) [N, N m].
-        time: Times of the rows, from the middle of the recording, (rows,) [s].
+        time: Times of the rows, relative to the middle of the recording, (rows,) [s].
         filter: Filter from instants to rows.
-        measured_samples: The plate's samples around each row, without the tare, (rows, 6, 2 L + 1)
+        measured_samples: Samples of the plate around each row, minus the tare, (rows, 6, 2 L + 1)
             [N, N m].
     """
 
@@ -76,12 +77,12 @@ class PredictedWrench:
 
     @cached_property
     def measured_wrench(self) -> Array:
-        """Measured wrench at the rows, filtered, with the tare, (rows, 6) [N, N m]."""
+        """Filtered measured wrench at the rows, including the tare, (rows, 6) [N, N m]."""
         return self.measured_samples @ self.filter.sample_weights + self.tare
 
     @cached_property
     def measured_wrench_rate(self) -> Array:
-        """Filtered derivative of the measured wrench in time, (rows, 6) [N/s, N m/s]."""
+        """Filtered time derivative of the measured wrench, (rows, 6) [N/s, N m/s]."""
         return self.measured_samples @ self.filter.sample_derivative_weights
 
     @cached_property
@@ -99,7 +100,7 @@ class PredictedWrench:
     ) -> Array:
         """Derivative of the wrench with respect to an error of one joint coordinate, (m, 6).
 
-        Derivatives of the coordinate are per unit of the error; without filter, at the instants.
+        The result is unfiltered, at the m instants, per unit of the error.
 
         Args:
             joint: Joint index.
@@ -117,8 +118,8 @@ class PredictedWrench:
     def joint_time_derivative(self, joint: int) -> Array:
         """Time derivative of the wrench due to one joint's motion alone, filtered, (rows, 6, 1).
 
-        In N/s and N m/s. The jerk is not measured: its term is integrated by parts, with the
-        derivative of the filter.
+        The units are N/s and N m/s. Because the jerk is not measured, its term is integrated by
+        parts, using the derivative of the filter.
 
         Args:
             joint: Joint index.
@@ -139,32 +140,32 @@ class PredictedWrench:
 
     @cached_property
     def _derivatives(self) -> ForceDerivatives:
-        """Predicted wrench at the instants, with its gradients over the joint coordinates."""
+        """Predicted wrench at the instants, with derivatives in the joint coordinates."""
         return force_derivatives(self.tree, self.motion, self.theta, self.gravity)
 
     def filter_signals(self, signals: Array) -> Array:
-        """Signals at the instants, (m, 6, k), filtered to the rows, (rows, 6, k)."""
+        """Filter signals given at the instants, (m, 6, k), to obtain their rows, (rows, 6, k)."""
         return filtered(signals, self.filter.weights, self.filter.row_step)
 
     def filter_derivatives(self, signals: Array) -> Array:
-        """Time derivatives of signals, filtered to the rows, (rows, 6, k)."""
+        """Filtered time derivatives of signals, at the rows, (rows, 6, k)."""
         return filtered(signals, self.filter.derivative_weights, self.filter.row_step)
 
 
 def filtered(signals: Array, weights: Array, step: int) -> Array:
-    """Weighted sums of consecutive instants of signals, (rows, C, k).
+    """Weighted sums of signals over consecutive instants, (rows, C, k).
 
     Args:
         signals: k signals of C channels at the m instants, (m, C, k).
         weights: Weights of the instants around a row, (2 J + 1,).
-        step: Number of instants from row to row.
+        step: Number of instants from one row to the next.
     """
     windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
     return windows[::step] @ weights
 
 
 def _time_derivative(signal: Array, time: Array) -> Array:
-    """Time derivative of smooth signals, (m, k), by differences of order four, two at the ends."""
+    """Time derivative of smooth signals, (m, k), by fourth-order differences (second at ends)."""
     rate = np.gradient(signal, time, axis=0)
     if len(time) > 4:
         step = time[1] - time[0]

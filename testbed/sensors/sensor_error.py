@@ -1,17 +1,17 @@
 """Base classes of sensor errors: stages of the measuring chain from true signals to recording.
 
-A sensor error is a frozen dataclass in a module of `testbed/sensors/errors`: `kind`, `signal` and
-`stage` as class variables, a field for each key with default and bounds, its formula in `apply`.
-An error with coefficients, which can be estimated and corrected, is a `SystematicError`.
+A sensor error is a frozen dataclass in a module of `testbed/sensors/errors`. It has the class
+variables `kind`, `signal` and `stage`, one field with default and bounds per key, and its formula
+in `apply`. An error with coefficients that can be estimated and corrected is a `SystematicError`.
 
 For a key with one number per joint, axis or channel, a single number is a magnitude: signs of
-errors and phases of waves are drawn from the error's random stream. A list gives each value,
-sign included; in a table by joint name, omitted joints have zero, or the default where zero is not
-allowed, as for a period.
+errors and phases of waves are drawn from the random stream of the error. A list gives all values
+with their signs. In a table keyed by joint name, omitted joints have zero, or the default value if
+zero is not allowed, as for a period.
 
-Random numbers come from a stream of the kind and the seed: adding, removing or changing one error
-leaves the noise of all others the same, to the bit. Several errors of one kind in a chain have a
-stream each, numbered in their order: a new error goes last.
+The random stream depends on the kind and the seed, so that adding, removing or changing one error
+leaves the noise of the other errors exactly the same. Several errors of one kind in a chain have
+separate streams, numbered in their order; a new error should therefore be added last.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from testbed.sensors.kind_table import (
 )
 
 Signal = Literal["position", "torque", "wrench", "tare"]
-"""Signals with errors; the tare is the wrench of the plate at rest without the robot."""
+"""Signals that can have errors; the tare is the wrench of the plate at rest without robot."""
 
 FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
-"""Largest values of the plate's channels [N, N m]: a plate for loads of 100 kg."""
+"""Full scale of the plate's channels [N, N m], for a plate with a load capacity of 100 kg."""
 
 
 class StageOrder(IntEnum):
-    """Order of the stages in a measuring chain, independent of the order in the file."""
+    """Order of the stages in a measuring chain, independent of the order in files."""
 
     SENSOR = 0
     """Mechanics, calibration and amplifiers: linear, before any noise."""
@@ -64,7 +64,7 @@ class SensorError(KindTable):
 
     @abstractmethod
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Signal with the error.
+        """Apply the error to a signal.
 
         Args:
             signal: Signal before the error, (M, k), in the signal's unit.
@@ -75,11 +75,11 @@ class SensorError(KindTable):
     def for_robot(
         self, names: tuple[str, ...], full_scale: tuple[float, ...] = FULL_SCALE
     ) -> Self:
-        """Copy of the error for a robot and a plate, per-joint values in joint order.
+        """Copy of the error for a robot and plate, with per-joint values in order.
 
         Args:
             names: Joint names.
-            full_scale: Largest values of the plate's channels, (6,) [N, N m].
+            full_scale: Full scale of each channel of the plate, (6,) [N, N m].
 
         Raises:
             SettingsError: A joint is unknown, or values of some joints are missing.
@@ -103,8 +103,8 @@ class SensorError(KindTable):
     def with_random_values(self, joints: int, rng: np.random.Generator) -> Self:
         """Copy of the error with random signs and phases where only a magnitude is given.
 
-        Keys with a random sign: a single number becomes a list with random signs. Keys with a
-        random phase: an omitted value becomes a list of phases from 0 to 2 pi.
+        For keys with a random sign, a single number becomes a list of numbers with random signs.
+        For keys with a random phase, an omitted value becomes a list of phases between 0 and 2 pi.
 
         Args:
             joints: Number of joints.
@@ -121,7 +121,7 @@ class SensorError(KindTable):
 
 
 class NoiseError(SensorError):
-    """White noise of standard deviation `sigma`, by joint."""
+    """White noise with one standard deviation `sigma` per joint."""
 
     stage: ClassVar[StageOrder] = StageOrder.NOISE
     sigma: PerJoint
@@ -133,7 +133,7 @@ class NoiseError(SensorError):
 
 
 class AddedWrench(SensorError):
-    """Random or periodic error of the plate's channels: amplitudes times a pattern over time."""
+    """Random or periodic error of the plate's channels: amplitudes times a time pattern."""
 
     signal: ClassVar[Signal] = "wrench"
     stage: ClassVar[StageOrder] = StageOrder.NOISE
@@ -142,7 +142,7 @@ class AddedWrench(SensorError):
 
     @abstractmethod
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Error of unit amplitude in each channel, (M, 6) or (M, 1).
+        """Time pattern of the error with unit amplitude in each channel, (M, 6) or (M, 1).
 
         Args:
             signal: Wrench before the error, (M, 6) [N, N m].
@@ -158,11 +158,11 @@ class AddedWrench(SensorError):
 
 
 def channel_values(force: PerAxis, moment: PerAxis) -> Array:
-    """Values of the plate's six channels, (6,), from values of forces and moments.
+    """Values of the plate's six channels, (6,), from values for forces and moments.
 
     Args:
-        force: One number for x, y and z, or three.
-        moment: One number for x, y and z, or three.
+        force: One number for x, y and z, or three numbers.
+        moment: One number for x, y and z, or three numbers.
     """
     return np.concatenate(
         [np.broadcast_to(np.asarray(each), 3) for each in (force, moment)]

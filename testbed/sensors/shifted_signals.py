@@ -1,4 +1,4 @@
-"""Interpolation of signals at shifted or arbitrary instants."""
+"""Interpolation of signals at shifted or arbitrary times."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def shifted_signal(signal: Array, samples: float) -> Array:
     """Signal advanced by a number of samples, by Lagrange interpolation of eight samples.
 
     Args:
-        signal: Signal, (M, k); its first and last value are held beyond its ends.
-        samples: Number of samples, of either sign; need not be an integer. Sample i of the result
-            is the signal at i + samples.
+        signal: Signal, (M, k); its first and last values are held beyond its ends.
+        samples: Number of samples, positive or negative, not necessarily an integer. Sample i of
+            the result is the signal at sample i + samples.
     """
     whole = int(np.floor(samples))
     nodes = np.arange(_INTERPOLATION_POINTS) - (_INTERPOLATION_POINTS // 2 - 1)
@@ -35,7 +35,7 @@ def shifted_signal(signal: Array, samples: float) -> Array:
 
 
 def edge_samples(delay: float, rate: float) -> int:
-    """Number of samples at either end without enough neighbours to correct a delay.
+    """Number of samples at each end that lack neighbours for the correction of a delay.
 
     Args:
         delay: Delay [s].
@@ -45,7 +45,7 @@ def edge_samples(delay: float, rate: float) -> int:
 
 
 def resampled_signal(signal: Array, time: Array, instants: Array) -> Array:
-    """Signal at other instants, by a quintic spline; held beyond its ends.
+    """Signal at other times, by a quintic spline; values are held beyond the ends.
 
     Args:
         signal: Signal, (M, k).

@@ -1,12 +1,12 @@
-"""Base classes of systematic sensor errors: simulated, estimated and corrected.
+"""Base classes of systematic sensor errors, which can be simulated, estimated and corrected.
 
 The function `effect` maps the signal without the error to the signal with the error. Simulation,
-regressor columns (central differences by the coefficients) and correction of a recording
-(fixed-point iteration) follow from it, unless a class has formulas for them.
+regressor columns (central differences with respect to the coefficients) and correction of a
+recording (fixed-point iteration) follow from `effect`, unless a class overrides them with formulas.
 
-Time is from the first sample in a simulation, from the middle of the recording in estimates and
-corrections: gains that grow by r (1/s) from time 0 in T seconds are a gain of 1 + r T / 2,
-which grows by r / (1 + r T / 2).
+Time is measured from the first sample in a simulation, but from the middle of the recording in
+estimates and corrections. For example, a simulated gain 1 + r t in a recording of T seconds is
+estimated as a gain of 1 + r T / 2 that grows at the rate r / (1 + r T / 2).
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ TIME_STEP = 1e-3
 """Time step for differences along a motion [s]."""
 
 MAX_ITERATIONS, CONVERGENCE_TOLERANCE = 60, 1e-13
-"""Largest number of iterations in the correction of a signal, and last change relative to the
-signal."""
+"""Largest number of iterations in the correction of a signal, and largest final change relative to
+the signal."""
 
 
 class Coefficient(NamedTuple):
     """Unknown coefficient of a systematic error.
 
     Attributes:
-        name: Name, as "pose/rx".
+        name: Name, such as "pose/rx".
         unit: Unit.
         neutral: Value for a sensor without the error.
     """
@@ -52,21 +52,21 @@ class Coefficient(NamedTuple):
 
 
 class SystematicError(SensorError):
-    """Sensor error that is a function of signal, time and a few coefficients."""
+    """Sensor error that is a function of the signal, the time and a few coefficients."""
 
     fixed: ClassVar[tuple[Coefficient, ...]] = ()
     """Coefficients that are the same for every robot."""
     term: ClassVar[str]
-    """Name among the unknowns of an estimate, the part of coefficient names before the slash;
+    """Name among the unknowns of an estimate: the part of coefficient names before the slash; by
     default the kind."""
     remedy: ClassVar[str] = ""
-    """Recommended remedy; by default, estimation of the coefficients."""
+    """Recommended remedy; by default the estimation of the coefficients."""
     estimated: ClassVar[bool] = True
-    """True if the coefficients can be unknowns of an estimate; else they are only tested."""
+    """True if the coefficients can be unknowns of an estimate; otherwise they are only tested."""
     estimated_as: ClassVar[str] = ""
-    """Term that is estimated in place of this term; default the same term."""
+    """Term that is estimated instead of this term; by default the same term."""
     tested: ClassVar[bool] = True
-    """True if every estimate tests its residuals for the error, as a likely cause."""
+    """True if the residuals of all estimates are tested for this error as a likely cause."""
     of_one_recording: ClassVar[bool] = False
     """True if the coefficients differ between recordings."""
     contains: ClassVar[tuple[str, ...]] = ()
@@ -76,9 +76,8 @@ class SystematicError(SensorError):
     added: ClassVar[bool] = False
     """True if the effect is added to the measured channels, before their unmixing."""
     unfolded: ClassVar[bool] = False
-    """True if the columns need enough instants to avoid aliasing of encoder noise, as for a
-    constant joint error; columns of other errors would correlate with this noise in the
-    rows."""
+    """True if the columns require enough instants to avoid aliasing of encoder noise, as for a
+    constant joint error. Columns of other errors would correlate with this noise in the rows."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -90,14 +89,14 @@ class SystematicError(SensorError):
         """Coefficients of the error on a robot, (k,).
 
         Args:
-            tree: The robot: names and kinds of its joints, cuts at force sensors.
+            tree: The robot, with names and kinds of its joints and cuts at force sensors.
         """
         del tree
         return cls.fixed
 
     @property
     def values(self) -> Array:
-        """Values of the coefficients, (k,), or a single value; by default the keys, in order."""
+        """Values of the coefficients, (k,), or a single value; by default the keys' values."""
         values = []
         for name, key in self.known_keys().items():
             value = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
@@ -109,11 +108,11 @@ class SystematicError(SensorError):
     @classmethod
     @abstractmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Signal with the error, from the signal without it.
+        """Signal with the error, computed from the signal without the error.
 
         Args:
             signal: Signal without the error, (M, c).
-            time: Times from the first sample or from the middle, (M,) [s].
+            time: Times since the first sample or relative to the middle, (M,) [s].
             values: Values of the coefficients, (k,).
         """
 
@@ -131,7 +130,8 @@ class SystematicError(SensorError):
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
         """Derivative of `effect` with respect to the coefficients, (M, c, k).
 
-        By default by central differences with steps of `COEFFICIENT_STEP`.
+        By default, the derivative is computed by central differences with steps of
+        `COEFFICIENT_STEP`.
 
         Args:
             signal: Signal without the error, (M, c).
@@ -147,10 +147,10 @@ class SystematicError(SensorError):
 
     @classmethod
     def corrected_signal(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Signal without the error, (M, c): inverse of `effect`.
+        """Signal without the error, (M, c): the inverse of `effect`.
 
-        By default by fixed-point iteration until a change is at most `CONVERGENCE_TOLERANCE` of the
-        signal, at most `MAX_ITERATIONS` times.
+        By default, the inverse is computed by fixed-point iteration, until a change is at most
+        `CONVERGENCE_TOLERANCE` times the signal, with at most `MAX_ITERATIONS` iterations.
 
         Args:
             signal: Signal with the error, (M, c).
@@ -174,7 +174,7 @@ class SystematicError(SensorError):
         Args:
             recording: Recording with the error.
             values: Values of the coefficients, (k,).
-            time: Times of the samples, from the middle of the whole recording, (M,) [s].
+            time: Times of the samples, relative to the middle of the whole recording, (M,) [s].
             tree: The robot.
         """
         del tree
@@ -187,7 +187,7 @@ class SystematicError(SensorError):
 
     @classmethod
     def lost_sample_count(cls, values: Array, rate: float) -> int:
-        """Number of samples at either end of a recording that cannot be corrected.
+        """Number of samples at each end of a recording that cannot be corrected.
 
         Args:
             values: Values of the coefficients, (k,).
@@ -201,7 +201,8 @@ class SystematicError(SensorError):
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
         """Derivative of the residual wrench with respect to the coefficients, (rows, 6, k).
 
-        The residual is the measured minus the predicted wrench at the rows, filtered.
+        The residual is the filtered measured wrench minus the filtered predicted wrench, at the
+        rows.
 
         Args:
             predicted: Wrench and motion predicted by an estimate.
@@ -211,9 +212,9 @@ class SystematicError(SensorError):
     def columns_from_measured(cls, predicted: PredictedWrench) -> Array:
         """Regressor columns from the measured wrench where possible, (rows, 6, k).
 
-        Encoder noise affects both the predicted wrench and the residual, and biases weakly
-        identifiable coefficients of columns from the predicted wrench. By default the columns are
-        those of `regressor_columns`.
+        Encoder noise affects both the predicted wrench and the residual. Columns from the predicted
+        wrench therefore give biased estimates of weakly identifiable coefficients. By default, the
+        columns are those of `regressor_columns`.
 
         Args:
             predicted: Predicted and measured wrench.
@@ -222,7 +223,7 @@ class SystematicError(SensorError):
 
     @classmethod
     def unmixing_matrix(cls, values: Array) -> Array | None:
-        """Inverse of the matrix that mixes the plate's channels, (6, 6); None for no mixing.
+        """Inverse of the matrix that mixes the plate's channels, (6, 6); None without mixing.
 
         Args:
             values: Values of the coefficients, (k,).
@@ -232,7 +233,7 @@ class SystematicError(SensorError):
 
 
 class PlateError(SystematicError):
-    """Systematic error of a plate's wrench, slow compared with the filter on rows."""
+    """Systematic error of a plate's wrench that is slow compared with the filter on rows."""
 
     signal: ClassVar[Signal] = "wrench"
 
@@ -240,7 +241,7 @@ class PlateError(SystematicError):
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
         """Derivative of the error of the predicted wrench, (rows, 6, k).
 
-        With respect to the coefficients, at their neutral values.
+        The derivative is taken with respect to the coefficients at their neutral values.
         """
         neutral = cls.neutral(predicted.tree)
         return cls.derivative(predicted.wrench, predicted.time, neutral)
@@ -249,7 +250,7 @@ class PlateError(SystematicError):
     def columns_from_measured(cls, predicted: PredictedWrench) -> Array:
         """Derivative of the error of the measured wrench, (rows, 6, k).
 
-        With respect to the coefficients, at their neutral values.
+        The derivative is taken with respect to the coefficients at their neutral values.
         """
         return cls.derivative(
             predicted.measured_wrench, predicted.time, cls.neutral(predicted.tree)
@@ -263,13 +264,13 @@ class EncoderError(SystematicError):
     per_joint: ClassVar[tuple[str, ...]] = ("",)
     """Suffixes of the names of a joint's coefficients."""
     units: ClassVar[tuple[str, str]]
-    """Units of a coefficient at a revolute and at a prismatic joint."""
+    """Units of a coefficient for a revolute and for a prismatic joint."""
     of_revolute: ClassVar[bool] = False
     """True if only revolute joints have coefficients."""
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
-        """Coefficients of the joints, joint by joint."""
+        """Coefficients of all joints, joint by joint."""
         return tuple(
             Coefficient(f"{cls.term}/{joint.name}{end}", cls.units[not joint.revolute])
             for joint in tree.joints
@@ -281,9 +282,10 @@ class EncoderError(SystematicError):
     def coordinate_errors(
         cls, q: Array, qd: Array, qdd: Array
     ) -> Iterable[tuple[Any, Any, Any]]:
-        """Derivatives of a joint's position, velocity and acceleration by coefficient.
+        """Derivatives of a joint's motion with respect to each coefficient.
 
-        By default from differences of `effect` along the motion, with steps of `TIME_STEP`.
+        By default, they are computed from differences of `effect` along the motion, with steps of
+        `TIME_STEP`.
 
         Args:
             q: Joint position, (m,) [rad or m].
@@ -291,8 +293,8 @@ class EncoderError(SystematicError):
             qdd: Joint acceleration, (m,) [rad/s^2 or m/s^2].
 
         Returns:
-            For each coefficient: derivatives of position, velocity and acceleration with respect to
-            it, (m,) or a number each.
+            For each coefficient, the derivatives of position, velocity and acceleration with
+            respect to this coefficient, each (m,) or a number.
         """
         derivatives = []
         for h in (-TIME_STEP, 0.0, TIME_STEP):
@@ -342,7 +344,8 @@ class ClockError(SystematicError):
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
         """Derivative of the measured wrench with respect to a delay's coefficient, (rows, 6, 1).
 
-        Minus the time derivative of the predicted wrench, times the derivative of the delay.
+        The result is the negative time derivative of the predicted wrench, multiplied by the
+        derivative of the delay.
         """
         delay_derivative = np.broadcast_to(
             cls.delay_derivative(predicted.time), len(predicted.time)

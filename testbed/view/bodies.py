@@ -20,13 +20,14 @@ MAX_LISTED_CONSTRAINTS = 6
 
 
 def consistent_tables(consistent: Consistent) -> list[Table]:
-    """Table of standard parameters of all links, and table of joint terms.
+    """Tables of the standard parameters of all links and of the joint terms.
 
-    The first has a row per link and parameter: value of the model file, estimate with sigma, and
-    share of the prior variance that the data remove. Without joint terms the second is omitted.
+    The first has one row per link and parameter, with the value in the model file, the estimate
+    with sigma, and the data share. The data share is the fraction of the prior variance that the
+    data remove. Without joint terms there is no second table.
 
     Args:
-        consistent: Bodies, friction and rotors.
+        consistent: Physically consistent bodies, friction and rotors.
     """
     cells = zip(
         [f"{value:.4g}" for value in consistent.prior.ravel()],
@@ -55,12 +56,14 @@ def consistent_tables(consistent: Consistent) -> list[Table]:
 def _body_rows(
     links: Iterable[str], names: Sequence[str], cells: Iterable[tuple[str, ...]]
 ) -> list[tuple[str, ...]]:
-    """Table rows by link and parameter; only a link's first row contains its name.
+    """Table rows for each link and parameter.
+
+    The link's name is in its first row only.
 
     Args:
         links: Labels of the links.
         names: Names of a link's parameters, the same for all links.
-        cells: Cells after link and parameter of each row, link by link.
+        cells: Further cells of each row, link by link.
     """
     pairs = product(links, names)
     return [
@@ -72,8 +75,8 @@ def _body_rows(
 def sampled_robots_table(samples: RobotSamples) -> Table:
     """Table of means and standard deviations of sampled robots, by link and parameter.
 
-    The last columns are the share of the prior variance that the data remove, and the source of a
-    parameter by this share: data, model file or both.
+    The last columns are the data share (the fraction of the prior variance that the data remove),
+    and the parameter's source according to this share: data, model file or both.
 
     Args:
         samples: Sampled robots.
@@ -97,12 +100,13 @@ def sampled_robots_table(samples: RobotSamples) -> Table:
 
 
 def _parameter_source(share: float) -> str:
-    """Source of a parameter by its data share: "data", "both" or "model file".
+    """Source of a parameter according to its data share: "data", "both" or "model file".
 
-    "data" from `MIN_DETERMINED_SHARE` (0.9) on, "both" above one minus this share (0.1).
+    The source is "data" for a share of at least `MIN_DETERMINED_SHARE` (0.9), and "both" for a
+    share above `1 - MIN_DETERMINED_SHARE` (0.1).
 
     Args:
-        share: Share of the prior variance that the data remove.
+        share: Fraction of the prior variance that the data remove.
     """
     if share >= MIN_DETERMINED_SHARE:
         return "data"
@@ -110,14 +114,15 @@ def _parameter_source(share: float) -> str:
 
 
 def consistent_lines(consistent: Consistent) -> list[str]:
-    """Sentences on physical consistency, changes of the estimates, active constraints and prior.
+    """Sentences on physically consistent bodies: changes, active constraints, prior.
 
-    These are the body with the smallest ratio of least to greatest eigenvalue of the pseudo-inertia
-    (if any body has mass), the distance of each estimate from the consistent bodies in standard
-    deviations, at most `MAX_LISTED_CONSTRAINTS` active constraints, and the prior's relative error.
+    They contain the body with the smallest ratio of least to greatest eigenvalue of the
+    pseudo-inertia (if any body has mass), the distance of each estimate from the consistent bodies
+    in standard deviations, at most `MAX_LISTED_CONSTRAINTS` active constraints, and the relative
+    error of the prior.
 
     Args:
-        consistent: Bodies, friction and rotors.
+        consistent: Physically consistent bodies, friction and rotors.
     """
     lines = []
     with np.errstate(invalid="ignore"):
@@ -175,10 +180,10 @@ def bodies_section(consistent: Consistent) -> Section:
 
 
 def _link_row(consistent: Consistent, k: int) -> list[str]:
-    """Table row of a link: prior mass, mass with sigma, centre, mean data share.
+    """Table row of a link: prior mass, mass with sigma, centre of mass, data share.
 
-    The centre of mass is in the body frame [m]; zero for a massless link. The share is the mean of
-    the link's ten parameters.
+    The centre of mass is in the body frame [m], and zero for a massless link. The data share is the
+    mean over the link's ten parameters.
 
     Args:
         consistent: Consistent bodies.

@@ -73,11 +73,11 @@ class Picture(Figure):
 
 
 def draw(panel: Panel, width: float = FIGURE_WIDTH) -> Picture:
-    """Draw a panel: main plot above lower plots, with a shared horizontal axis.
+    """Draw a panel: main plot above the lower plots, with a common horizontal axis.
 
     Args:
         panel: Panel to draw.
-        width: Smallest width of the figure; long row names widen it [inches].
+        width: Minimum width of the figure [inches]; long row names widen it.
     """
     plots = {panel.title: panel.curves, **panel.lower_plots}
     heights = [
@@ -103,7 +103,9 @@ def draw(panel: Panel, width: float = FIGURE_WIDTH) -> Picture:
 
 
 def _draw_curves(axis: Axes, panel: Panel, curves: Curves) -> None:
-    """Draw curves with bands and error bars; earlier kinds of `COLOURS` are wider and below.
+    """Draw curves with bands and error bars.
+
+    Kinds of curves that come first in `COLOURS` are drawn with wider lines, below the others.
 
     Args:
         axis: Axes of the plot.
@@ -136,7 +138,8 @@ def _draw_curves(axis: Axes, panel: Panel, curves: Curves) -> None:
 def _set_scales(axis: Axes, panel: Panel, curves: Curves) -> None:
     """Set scales, limits, ticks and reference line of a plot.
 
-    Logarithmic axes need a positive value. Row names replace the vertical axis, the first on top.
+    A logarithmic axis requires a positive value. Row names replace the numbers on the vertical
+    axis, with the first name at the top.
 
     Args:
         axis: Axes of the plot.

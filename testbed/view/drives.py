@@ -31,7 +31,7 @@ DRIVES_TITLE = "Drives compared with the force plate"
 
 
 def drive_table(drives: Sequence[DriveEstimate]) -> Table:
-    """Table of torque constant, joint terms with sigma, and rms residual of every joint.
+    """Table of torque constant, joint terms with sigma, and rms residual of each joint.
 
     Args:
         drives: Estimate of each joint's drive.
@@ -50,11 +50,11 @@ def drive_table(drives: Sequence[DriveEstimate]) -> Table:
 
 
 def _drive_cell(drive: DriveEstimate, head: str) -> str:
-    """Text of one table cell of a drive; "" if the drive lacks the term.
+    """Text of one cell in the table of drives; "" for a missing term.
 
     Args:
         drive: Estimate of the drive.
-        head: Column head: "torque constant", "residual" or the kind of a joint term.
+        head: Column head: "torque constant", "residual", or the kind of a joint term.
     """
     if head == "torque constant":
         return number_with_sigma(drive.constant, drive.sigma, short=True)
@@ -69,9 +69,9 @@ def _drive_cell(drive: DriveEstimate, head: str) -> str:
 def replay_error_lines(
     joints: Sequence[str], file_errors: Array, written_errors: Array
 ) -> list[str]:
-    """Sentence with the rms position errors of two models in an open-loop replay.
+    """Sentence with the rms position errors of two models in open-loop simulation.
 
-    Both models are simulated with the torques of a held-out motion.
+    Both models are driven by the recorded torques of a held-out motion.
 
     Args:
         joints: Names of the joints.
@@ -93,10 +93,10 @@ def replay_error_lines(
 
 
 def drive_delay_line(offset: TimeOffset) -> str:
-    """Sentence with the delay of the drives behind their commands, and its sigma [ms].
+    """Sentence with the delay of the drives relative to their commands, and its sigma [ms].
 
     Args:
-        offset: Time offset of the commands relative to the motion; negative for early commands.
+        offset: Time offset of the commands relative to the motion; negative if commands are early.
     """
     return (
         f"delay of the drives: {-1e3 * offset.delay:.3g} +- {1e3 * offset.sigma:.2g} ms"
@@ -104,10 +104,10 @@ def drive_delay_line(offset: TimeOffset) -> str:
 
 
 def drive_lines(drives: DriveIdentification) -> list[str]:
-    """Sentences on joint terms selected by cross-validation, and on agreement of plate and torques.
+    """Sentences on the selection of joint terms, and on the agreement of plate and torques.
 
-    Joints without such a selection are left out. The agreement, with the p-value of the test, is
-    stated only if there are no diagnostics.
+    Joints whose terms were not selected by cross-validation are left out. The agreement, with the
+    p-value of the test, is stated only if there are no diagnostics.
 
     Args:
         drives: Drives compared with the plate.
@@ -125,11 +125,11 @@ def drive_lines(drives: DriveIdentification) -> list[str]:
 
 
 def _choice_text(choice: JointTermChoice) -> str:
-    """Text of a joint's laws in the order of selection, with gains in standard errors.
+    """Text of a joint's laws in the order of selection, with their gains.
 
-    Laws of every joint come first, and the best rejected law last. For example:
-    Coulomb and viscous, then stribeck@0.08 (better by 5.1 standard errors); next would be ..., by
-    0.4.
+    The laws that every joint has come first, and the best rejected law comes last. Gains are in
+    standard errors. For example: Coulomb and viscous, then stribeck@0.08 (better by 5.1 standard
+    errors); next would be ..., by 0.4.
     """
     gain_text = "better by {:.1f} standard errors"
     added_terms = [
@@ -147,9 +147,10 @@ def _choice_text(choice: JointTermChoice) -> str:
 
 
 def drive_section(drives: DriveIdentification) -> Section:
-    """Section with a panel of torque constants less one [%], and the table of drives.
+    """Section with the relative deviations of torque constants, and the table of drives.
 
-    Error bars are `BAND_SIGMAS` standard deviations to either side.
+    The panel shows `constant - 1` [%], with error bars of `BAND_SIGMAS` standard deviations on
+    either side.
 
     Args:
         drives: Drives compared with the plate.
@@ -186,9 +187,9 @@ def drive_section(drives: DriveIdentification) -> Section:
 
 
 def curve_lines(curve: FrictionCurve) -> tuple[Array, Array, Array]:
-    """Speeds, torques and sigmas of a friction curve, with nan between negative and other speeds.
+    """Speeds, torques and sigmas of a friction curve, interrupted by nan at zero speed.
 
-    Plotted lines are thus interrupted at the jump of friction at zero velocity.
+    A plotted line thus has a gap where friction jumps at zero velocity.
 
     Args:
         curve: Friction curve of one joint, with m nodes.

@@ -34,11 +34,11 @@ def parameter_tables(
     title: str = "",
     max_rows: int | None = None,
 ) -> Iterator[list[Table]]:
-    """Layouts of the table of parameters by all methods, from wide to narrow.
+    """Yield layouts of the table of parameters, from wide to narrow.
 
-    Layouts are a table with 1.061 +- 0.001, one with 1.061(1) and no units, and a table per method.
-    Columns are value with sigma and, for a known truth, the error in sigmas. The parameters are
-    sorted by decreasing influence on the predicted signals.
+    The layouts are one table with 1.061 +- 0.001, one table with 1.061(1) and without units, and
+    one table per method. Columns are the value with sigma and, if the truth is known, the error in
+    sigmas. The parameters are in the order of decreasing influence on the predicted signals.
 
     Args:
         estimates: Estimates from one recording, one per method.
@@ -62,14 +62,14 @@ def _parameter_table(
     *,
     short: bool,
 ) -> Table:
-    """Table of parameters (rows): unit, truth, value and error in sigmas by method.
+    """Table with one row per parameter: unit, truth, value and error in sigmas by method.
 
     Args:
         estimates: Estimates, one per method.
-        names: Names of the rows in order; names in no estimate are skipped.
+        names: Names of the parameters in the order of rows; those that no estimate has are skipped.
         truths: True values by name; {} if unknown.
         title: Title of the table.
-        short: True for 1.0610(9) instead of 1.0610 +- 0.0009, and for no units.
+        short: True to write 1.0610(9) instead of 1.0610 +- 0.0009, and to omit units.
     """
     units = {
         name: unit
@@ -99,15 +99,15 @@ def _parameter_table(
 def _parameter_cells(
     estimate: Estimate, truths: Mapping[str, float], short: bool
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Texts of the values, and of the normalised errors, of an estimate by name.
+    """Texts of the values and of the normalised errors of an estimate, keyed by parameter.
 
-    Normalised errors, (value - truth) / sigma, exist for parameters with known truth and finite
-    sigma; zero where sigma is zero.
+    The normalised error is (value - truth) / sigma, or zero where sigma is zero. It is given for
+    parameters with known truth and finite sigma.
 
     Args:
         estimate: The estimate.
         truths: True values by name; {} if unknown.
-        short: True for 1.0610(9) instead of 1.0610 +- 0.0009.
+        short: True to write 1.0610(9) instead of 1.0610 +- 0.0009.
     """
     numbers, errors = {}, {}
     rows = zip(
@@ -122,9 +122,9 @@ def _parameter_cells(
 
 
 def fit_quality_lines(estimates: Iterable[Estimate]) -> list[str]:
-    """Lines with number of unknowns, condition number, noise, and rms residual of each channel.
+    """Lines on number of unknowns, condition number, noise, and rms residuals by channel.
 
-    Lines with the coefficients of sensor errors follow for each estimate.
+    For each estimate, lines with the coefficients of sensor errors follow.
 
     Args:
         estimates: Estimates from one recording.
@@ -147,10 +147,10 @@ def fit_quality_lines(estimates: Iterable[Estimate]) -> list[str]:
 
 
 def _sensor_error_lines(estimate: Estimate) -> list[str]:
-    """Lines with the estimated coefficients of sensor errors, one per kind.
+    """Lines with the estimated coefficients of sensor errors, one line per kind of error.
 
-    If the estimate has diagnostics of level "error", a last line warns that the standard deviations
-    do not include these errors.
+    If the estimate has diagnostics of level "error", the last line is a warning that the standard
+    deviations do not include these errors.
     """
     kinds: dict[str, list[str]] = {}
     for each in estimate.nuisances:
@@ -169,8 +169,8 @@ def _sensor_error_lines(estimate: Estimate) -> list[str]:
 def _noise_text(estimate: Estimate) -> str:
     """Text with the noise's longest correlation time and the bootstrap factor of the sigmas.
 
-    Constants that were estimated, and parameters that assume a zero plate offset, are named. ""
-    without a noise model.
+    It also states whether constant offsets of the channels were estimated, and which parameters
+    assume a plate offset of zero. It is "" without a noise model.
     """
     noise = estimate.noise
     if noise is None:
@@ -191,7 +191,9 @@ def _noise_text(estimate: Estimate) -> str:
 
 
 def choice_lines(estimates: Iterable[Estimate]) -> Iterator[str]:
-    """Yield lines on the joint terms selected by cross-validation, for estimates with a selection.
+    """Yield lines on joint terms selected by cross-validation.
+
+    Estimates whose terms were not selected are skipped.
 
     Args:
         estimates: Estimates from one recording.
@@ -204,10 +206,11 @@ def choice_lines(estimates: Iterable[Estimate]) -> Iterator[str]:
 
 
 def _selection_lines(choice: TermChoice) -> Iterator[str]:
-    """Yield the lines of one forward selection of joint terms.
+    """Yield lines on one forward selection of joint terms.
 
-    These are rms test residuals with the default terms, relative residual and gain in standard
-    errors of each added term, gain of the best rejected term, and test residuals with all terms.
+    They contain the rms test residuals with the default terms; for each added term, the relative
+    residual and the gain in standard errors; the gain of the best rejected term; and the rms test
+    residuals with all selected terms.
     """
     first, *added_steps = choice.growth.steps
     yield f"terms, by {choice.parts}-fold cross-validation: {_residuals_text(choice.before)}"
@@ -223,9 +226,9 @@ def _selection_lines(choice: TermChoice) -> Iterator[str]:
 
 
 def _residuals_text(residuals: TestResiduals) -> str:
-    """Text with the rms test residuals by channel, and overall with its unit.
+    """Text with the rms test residuals, by channel and overall.
 
-    Channels of different units (N and N m) have an overall value only if all units agree.
+    There is no overall value if channels have different units (N and N m).
     """
     units = set(residuals.units)
     overall = f"rms {residuals.rms:.3f} {units.pop()} (" if len(units) == 1 else "rms ("
@@ -234,14 +237,15 @@ def _residuals_text(residuals: TestResiduals) -> str:
 
 
 def payload_table(payload: PayloadEstimate, title: str = "") -> Table:
-    """Table of a payload's ten inertial parameters with sigma and unit.
+    """Table of a payload's ten inertial parameters, with sigma and unit.
 
-    Rows m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about and along the frame of the carrying link;
-    "only in combination" replaces values that are not identifiable alone.
+    The rows are m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz, about the origin and along the axes of
+    the carrying link's frame. The text "only in combination" replaces values that are not
+    identifiable individually.
 
     Args:
         payload: The payload.
-        title: Title of the table; default a title with the joint that moves the payload.
+        title: Title of the table; default a title with the name of the joint that moves the link.
     """
     numbers = numbers_with_sigma(payload.values, payload.sigma, short=True)
     values = [
@@ -256,7 +260,7 @@ def payload_table(payload: PayloadEstimate, title: str = "") -> Table:
 
 
 def torque_scales_table(scales: TorqueScales) -> Table:
-    """Table of reported over true torque by joint, from a known payload.
+    """Table of ratios of reported to true torque for each joint, from a known payload.
 
     Args:
         scales: Torque scales.
@@ -267,9 +271,9 @@ def torque_scales_table(scales: TorqueScales) -> Table:
 
 
 def payload_lines(payload: PayloadEstimate) -> list[str]:
-    """Sentences on the number of identifiable parameters and the centre of mass of a payload.
+    """Sentences on a payload's number of identifiable parameters and centre of mass.
 
-    The centre, in the frame of the carrying link, is left out if the estimate has none.
+    The centre of mass, in the frame of the carrying link, is left out if the estimate has none.
 
     Args:
         payload: The payload.
@@ -286,10 +290,10 @@ def payload_lines(payload: PayloadEstimate) -> list[str]:
 
 
 def tool_lines(tool: ToolEstimate) -> list[str]:
-    """Sentences on a tool identified in static poses: mass, gravity, centre, sensor zeros.
+    """Sentences on a tool estimated from static poses: mass, gravity, centre of mass, zeros.
 
-    Gravity is in the base frame, the other vectors in the sensor's frame. Quantities in
-    `unidentifiable` are omitted; number of poses and rms residuals come last.
+    Gravity is in the base frame, the other vectors are in the sensor's frame. Quantities in
+    `unidentifiable` are omitted. The number of poses and the rms residuals come last.
 
     Args:
         tool: The tool.
@@ -316,7 +320,7 @@ def tool_lines(tool: ToolEstimate) -> list[str]:
 
 
 def _centre_text(centre: Array, sigma: Array) -> str:
-    """Text of a centre of mass by axis with sigma [m]; "not identifiable" for nan."""
+    """Text of a centre of mass with sigma, by axis [m]; "not identifiable" for nan."""
     numbers = numbers_with_sigma(centre, np.nan_to_num(sigma))
     coordinates = (
         f"{axis} {number} m" if finite else f"{axis} not identifiable"
@@ -328,7 +332,7 @@ def _centre_text(centre: Array, sigma: Array) -> str:
 
 
 def sensor_error_tables(run: Run) -> list[Table]:
-    """Tables of sensor errors, model errors and repeatable residuals of a run's estimates.
+    """Tables of sensor errors, model errors and repeatable residuals in a run's estimates.
 
     Args:
         run: The run.
@@ -343,8 +347,9 @@ def sensor_error_tables(run: Run) -> list[Table]:
 def _estimate_tables(estimate: Estimate) -> Iterator[Table]:
     """Yield the tables of one estimate: sensor errors, model errors, repeatable residuals.
 
-    Each is left out if the estimate has none: coefficients of sensor errors with sigma; detected
-    model errors; rms and share of the residual that repeats with the motion, by channel.
+    The first has the coefficients of sensor errors with sigma, the second the detected model
+    errors, and the third, by channel, the rms and share of the residual that repeats with the
+    periodic motion. A table without content is skipped.
     """
     if estimate.nuisances:
         rows = [
@@ -386,7 +391,7 @@ def _estimate_tables(estimate: Estimate) -> Iterator[Table]:
 def _model_error_row(estimate: Estimate, error: ModelErrorEstimate) -> list[str]:
     """Table row of a model error: gain, rms and share in a channel, treatment, coefficient.
 
-    The channel is that with the largest share of the error in its residual.
+    The channel is the one in whose residual the error has the largest share.
     """
     channel = int(np.argmax(np.nan_to_num(error.share)))
     return [
@@ -403,7 +408,7 @@ def _model_error_row(estimate: Estimate, error: ModelErrorEstimate) -> list[str]
 def plate_matrix_table(plate: Calibration) -> Table:
     """Table of a plate's 6 x 6 matrix from wrench components (columns) to channels (rows).
 
-    Estimated elements have a sigma; given elements are exact.
+    Estimated elements have a sigma; known elements are exact.
 
     Args:
         plate: The calibration.
@@ -422,7 +427,9 @@ def plate_matrix_table(plate: Calibration) -> Table:
 
 
 def plate_coefficient_lines(plate: Calibration) -> list[str]:
-    """Lines with the coefficients of a plate's calibration except the matrix, one line per kind.
+    """Lines with the coefficients of a plate's calibration other than the matrix.
+
+    There is one line per kind of sensor error.
 
     Args:
         plate: The calibration.

@@ -23,21 +23,22 @@ Curves = Mapping[Any, tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Plot, or several plots over one horizontal axis.
+    """Plot, or several plots above each other with a common horizontal axis.
 
     Attributes:
-        title: Quantity with its unit.
-        curves: Curves (x, y), (M,) each, by kind: "measured", "wrench" or "torque".
+        title: Quantity on the vertical axis, with its unit.
+        curves: Curves (x, y), (M,) each, keyed by kind: "measured", "wrench" or "torque".
         x_label: Quantity on the horizontal axis, with its unit.
-        log_scale: True for logarithmic axes; with named rows only the horizontal axis.
-        points: Kinds drawn as points.
-        bars: Left and right ends of horizontal error bars, by kind.
-        bands: Half widths of bands around lines, by kind.
+        log_scale: True for logarithmic axes; with named rows, only the horizontal axis is
+            logarithmic.
+        points: Kinds of curves that are drawn as points.
+        bars: Left and right ends of horizontal error bars, keyed by kind.
+        bands: Half widths of bands around lines, keyed by kind.
         names: Labels of the rows 0, 1, ... from the top; () for a numeric vertical axis.
         limits: Limits of the horizontal axis; None for the range of the curves.
         reference_value: Position of a vertical reference line; None without a line.
         from_zero: True if the vertical axis begins at zero.
-        lower_plots: Curves of the plots below, by title.
+        lower_plots: Curves of the lower plots, keyed by title.
     """
 
     title: str
@@ -55,16 +56,16 @@ class Panel:
 
     @property
     def text_alternative(self) -> str:
-        """Text alternative to the drawing: titles, range of row names, horizontal axis."""
+        """Text that describes the drawing: titles, range of row names, horizontal axis."""
         rows = [f"{self.names[0]} to {self.names[-1]}"] if self.names else []
         parts = [words for words in (self.title, *rows, *self.lower_plots) if words]
         return f"{', '.join(parts)} over {self.x_label}"
 
 
 def subsampled_curve(x: Array, y: Array, max_points: int = 1000) -> tuple[Array, Array]:
-    """Points of a curve at equal index steps, at most `max_points` points.
+    """Points of a curve at equal index steps, limited to `max_points` points.
 
-    The step is the smallest possible; the first point is included.
+    The smallest possible step is used, and the first point is included.
 
     Args:
         x: Horizontal coordinates, (M,).
@@ -76,9 +77,9 @@ def subsampled_curve(x: Array, y: Array, max_points: int = 1000) -> tuple[Array,
 
 
 def enclosing_decades(values: Array) -> tuple[float, float]:
-    """Lower and upper power of ten that enclose all positive finite values.
+    """Powers of ten below and above all positive finite values.
 
-    The range is at least one decade; (0.1, 1) if no value is positive and finite.
+    The range covers at least one decade; it is (0.1, 1) if no value is positive and finite.
     """
     powers = np.log10(values[np.isfinite(values) & (values > 0)])
     if not powers.size:
@@ -97,17 +98,18 @@ def named_panel(
     line: float | None = None,
     log: bool = False,
 ) -> Panel:
-    """Panel with one row per name, and one point per kind in every row.
+    """Panel with one row per name, and in each row one point per kind.
 
-    Points of a row are `POINT_SPACING` rows apart. The horizontal axis covers values, bars and
-    reference line: whole decades, or the range with a margin of 4 %.
+    The points of a row are `POINT_SPACING` rows apart. The horizontal axis includes values, bars
+    and reference line; it covers whole decades if logarithmic, otherwise the range with a margin of
+    4 %.
 
     Args:
         title: Title of the panel.
         names: Labels of the rows, (p,).
-        values: Values by kind, (p,); nan is not drawn.
+        values: Values keyed by kind, (p,) each; nan is not drawn.
         x_label: Quantity and unit of the values.
-        bars: Left and right ends of error bars by kind, (p,) each.
+        bars: Left and right ends of error bars, keyed by kind, (p,) each.
         line: Reference value, drawn as a vertical line; None for no line.
         log: True for a logarithmic horizontal axis.
     """
@@ -136,9 +138,9 @@ def named_panel(
 
 
 def _padded_range(values: Array) -> tuple[float, float]:
-    """Smallest and largest finite value, with a margin of 4 % on both sides.
+    """Smallest and largest finite value, extended by a margin of 4 % on both sides.
 
-    The margin is 1 for a single value; (0, 1) is used if no value is finite.
+    The margin is 1 if all values are equal. If no value is finite, the range is that of 0 and 1.
     """
     finite = values[np.isfinite(values)]
     low, high = (
@@ -155,9 +157,10 @@ def named_panels(
     x_label: str,
     **options: Any,
 ) -> list[Panel]:
-    """Panels as by `named_panel`, with more than `MAX_ROWS` (9) rows split over three panels.
+    """Panels made by `named_panel`, with long lists of rows split over three panels.
 
-    All panels have the same horizontal axis. The arguments are those of `named_panel`.
+    Lists of more than `MAX_ROWS` (9) rows are split. All panels have the same horizontal axis. The
+    arguments are those of `named_panel`.
     """
     panel = named_panel(title, names, values, x_label, **options)
     count = SPLIT_PANEL_COUNT if len(names) > MAX_ROWS else 1
@@ -168,7 +171,7 @@ def named_panels(
 
 
 def _panel_rows(panel: Panel, rows: NDArray[np.intp]) -> Panel:
-    """Copy of a panel with consecutive rows only, renumbered from zero.
+    """Copy of a panel with a range of its rows, renumbered from zero.
 
     Args:
         panel: Panel with named rows.

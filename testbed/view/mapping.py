@@ -21,13 +21,13 @@ def write_mapping_page(path: Path, solution: MappingSolution) -> None:
 
     Args:
         path: The HTML file, replaced if it exists.
-        solution: Mapping with diagnostics and fits of the force plate.
+        solution: Mapping with diagnostics and with fits to the force plate's wrench.
     """
     write_page(path, "mapping.html", mapping_contents(path.stem, solution))
 
 
 def mapping_table(draft: MappingDraft) -> Table:
-    """Table of the keys that were assumed or solved, with value and evidence.
+    """Table of the mapping keys that were assumed or solved, with value and evidence.
 
     Args:
         draft: The mapping.
@@ -40,11 +40,11 @@ def mapping_table(draft: MappingDraft) -> Table:
 def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
     """Template variables of the mapping page: title, summary, table and figures.
 
-    Figures are the plate's wrench before and after the solution, where these fits exist.
+    The figures show the plate's wrench before and after the solution, where there are fits.
 
     Args:
         title: Name of the mapping.
-        solved: Mapping with diagnostics and fits of the force plate.
+        solved: Mapping with diagnostics and with fits to the force plate's wrench.
     """
     figures = []
     pairs = (
@@ -66,14 +66,15 @@ def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
 
 
 def _wrench_section(wrench_fit: WrenchFit, anchor: str, origin: str) -> Section:
-    """Section with the plate's six channels as read and their best fit by robot parameters.
+    """Section with the plate's six channels as read, and their best fit.
 
-    The table has the share of each channel's variance that the fit leaves unexplained.
+    The fit has the robot's parameters as unknowns. The table contains the fraction of each
+    channel's variance that the fit leaves unexplained.
 
     Args:
-        wrench_fit: Wrench as read, and its fit.
+        wrench_fit: Wrench as read from the log, and its fit.
         anchor: Anchor on the page.
-        origin: Origin of the mapping that gave the wrench, for the title.
+        origin: Description of the mapping that gave the wrench, for the title.
     """
     panels = [
         Panel(

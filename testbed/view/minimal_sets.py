@@ -45,15 +45,15 @@ NAME_WIDTH_DIVISOR = 3
 
 @dataclass(frozen=True, eq=False)
 class IdentifiabilityReport:
-    """Minimal sets of a robot, identifiability map and checks by independent methods.
+    """Minimal sets of a robot, identifiability map, and checks by independent methods.
 
     Attributes:
         tree: The robot.
         dynamic: Minimal set of the joint torques, delta_d.
         reaction: Minimal set of the force plate or force sensor, delta_r.
         drive_set: Minimal set of the joint torques with joint terms; None if not requested.
-        seen: Identifiability of the standard parameters by each instrument, the map in the output;
-            () if not requested.
+        seen: Identifiability of the standard parameters by each instrument, printed as a map; () if
+            not requested.
         agreements: Comparisons of each set with numerical methods; () if not requested.
     """
 
@@ -66,7 +66,10 @@ class IdentifiabilityReport:
 
     @property
     def sets_by_sensor(self) -> dict[str, MinimalSet]:
-        """Minimal sets by sensor; a robot with a force sensor has only that sensor's set."""
+        """Minimal sets keyed by sensor.
+
+        For a robot with a force sensor, only the set of that sensor is included.
+        """
         if self.tree.sensor is not None:
             return {"sensor": self.reaction}
         return {"torques": self.dynamic, "plate": self.reaction}
@@ -86,11 +89,12 @@ class IdentifiabilityReport:
     ) -> tuple[Formula, ...]:
         """Formulas of a minimal set's parameters in terms of barycentric parameters.
 
-        For joint torques with `drive_set`, these include joint terms regrouped into the parameters.
+        For joint torques with a `drive_set`, they include the joint terms that are regrouped into
+        the parameters.
 
         Args:
             minimal: One of the minimal sets.
-            lengths: Lengths of the model as symbols or as numbers.
+            lengths: Notation for lengths of the model: symbols or numbers.
         """
         if minimal.model == "wrench" or self.drive_set is None:
             return minimal.formulas_with(lengths)
@@ -102,13 +106,13 @@ def print_sets(
 ) -> None:
     """Print the minimal sets body by body, then explanations, map and checks.
 
-    Parameters that no sensor identifies, even in combination, and the numbers of combinations are
-    the last lines.
+    The last lines list parameters that no sensor identifies, even in combination, and the numbers
+    of combinations.
 
     Args:
-        console: Console of the output; no text is cut off at its width.
+        console: Console of the output; text is not truncated at its width.
         report: Minimal sets, map and checks.
-        lengths: Lengths of the model as symbols or as numbers.
+        lengths: Notation for lengths of the model: symbols or numbers.
     """
     _print_bodies(console, report, lengths)
     for line in _explanation_lines(report, lengths):
@@ -139,12 +143,12 @@ def print_latex(
 ) -> None:
     """Print the formulas of the minimal sets as lines of an aligned LaTeX display.
 
-    Numbers of parameters, checks and summary are comments.
+    Numbers of parameters, checks and summary are written as LaTeX comments.
 
     Args:
         console: Console of the output.
         report: Minimal sets and checks.
-        lengths: Lengths of the model as symbols or as numbers.
+        lengths: Notation for lengths of the model: symbols or numbers.
     """
     for each in report.sets:
         console.print(f"% {each.model}: {each.count}")
@@ -158,10 +162,10 @@ def print_latex(
 def identifiability_table(
     tree: Tree, instruments: Sequence[InstrumentIdentifiability]
 ) -> Table:
-    """Table of identifiability: a row per body, a column per instrument.
+    """Table of identifiability with one row per body and one column per instrument.
 
-    A cell has a glyph of `IDENTIFIABILITY_GLYPHS` for each of the ten standard parameters, in the
-    order of `STANDARD_NAMES`. Massless bodies are left out.
+    A cell contains one glyph of `IDENTIFIABILITY_GLYPHS` for each of the ten standard parameters,
+    in the order of `STANDARD_NAMES`. Massless bodies are left out.
 
     Args:
         tree: The robot.
@@ -187,10 +191,10 @@ def identifiability_table(
 def _print_bodies(
     console: Console, report: IdentifiabilityReport, lengths: LengthNotation
 ) -> None:
-    """Print a table per body: parameter, unit, rule for each sensor's set, and formula.
+    """Print a table per body: parameter, unit, rule in each sensor's set, and formula.
 
-    The rule, a key of `RULE_REASONS`, is the reason why the parameter is in the set; "-" if it is
-    not. Bodies are in descending order, the bedplate last.
+    The rule, a key of `RULE_REASONS`, states why the parameter is in the set; it is "-" if the
+    parameter is not. Bodies are in descending order, with the bedplate last.
     """
     rows = _formula_rows(report, lengths)
     names = [formula.left.text for formulas in rows.values() for formula in formulas]
@@ -222,9 +226,10 @@ def _print_bodies(
 def _formula_rows(
     report: IdentifiabilityReport, lengths: LengthNotation
 ) -> dict[int, dict[Formula, dict[str, str]]]:
-    """Table cells by body index and formula: "unit", and the rule by sensor.
+    """Table cells keyed by body index and formula.
 
-    A sensor's key is missing if the formula's parameter is not in its set; the bedplate is -1.
+    The cells of a formula are "unit", and the rule keyed by sensor; a sensor is missing if its set
+    does not contain the parameter. The bedplate has the index -1.
     """
     rows: dict[int, dict[Formula, dict[str, str]]] = {}
     for sensor, each in report.sets_by_sensor.items():
@@ -237,7 +242,7 @@ def _formula_rows(
 
 
 def _body_heading(report: IdentifiabilityReport, body: int) -> str:
-    """Heading of a body: number from 1, name, joint type and carrying body."""
+    """Heading of a body: its number from 1, name, joint type and carrying body."""
     if body < 0:
         return "the bedplate"
     joint = report.tree.joints[body]
@@ -253,8 +258,8 @@ def _explanation_lines(
 ) -> Iterator[str]:
     """Yield lines on the rules in use, auxiliary parameters, axis directions and joint terms.
 
-    Auxiliary formulas define starred parameters, with the sensor if they differ between sets; axes
-    are the triads of parameters along directions that are not body axes.
+    Auxiliary formulas define the starred parameters; the sensor is added if they differ between
+    sets. Axis directions are the triads of parameters whose directions are not along body axes.
     """
     for number in sorted({reason for each in report.sets for reason in each.reasons}):
         yield f"{'rule ' * number[0].isdigit()}{number}: {RULE_REASONS[number]}"
@@ -275,10 +280,10 @@ def _explanation_lines(
 
 
 def _joint_term_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
-    """Yield lines on joint terms with a separate column, then on regrouped terms.
+    """Yield lines on joint terms with a separate unknown, then on regrouped terms.
 
-    For a law, the joints whose term is an unknown of its own; for a regrouped term, the unknowns in
-    which it is contained.
+    A line on a law lists the joints whose term is a separate unknown. A line on a regrouped term
+    lists the unknowns that contain it.
     """
     names = joint_and_shaft_names(tree)
     for law in dict.fromkeys(term.law for term in drives.asked):
@@ -294,7 +299,7 @@ def _joint_term_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
 
 
 def _summary_sentence(report: IdentifiabilityReport) -> str:
-    """Sentence with the number of parameters and of identifiable combinations by each sensor.
+    """Sentence with the number of parameters, and of combinations that each sensor identifies.
 
     With joint terms, the number of unknowns of the joint torques follows.
     """
@@ -316,9 +321,10 @@ def _summary_sentence(report: IdentifiabilityReport) -> str:
 
 
 def _agreement_lines(report: IdentifiabilityReport) -> Iterator[str]:
-    """Yield a line per comparison: ranks by each method, distances, and agreement.
+    """Yield one line per comparison: ranks from each method, distances, and agreement.
 
-    Methods are rules, exact recursion and sampled regressor; with joint terms the last two.
+    The methods are the rules, the exact recursion and the sampled regressor; with joint terms, only
+    the last two.
     """
     for each in report.agreements:
         agree = "agree" if each.agrees else "DISAGREE"
@@ -344,8 +350,8 @@ def minimal_sets_document(
 
     Args:
         report: Minimal sets, map and checks.
-        matrices: True to include the matrices of the sets, and the selection "S" between the sets
-            of joint torques and plate.
+        matrices: True to include the matrices of the sets, and the selection matrix "S" between the
+            sets of joint torques and plate.
     """
     sets = report.sets
     document: dict[str, Any] = {
@@ -397,8 +403,8 @@ def _set_document(tree: Tree, minimal: MinimalSet, matrices: bool) -> dict[str, 
 def _drive_set_document(drives: DriveSet, matrices: bool) -> dict[str, Any]:
     """JSON document of the minimal set with joint terms.
 
-    "asked" are all requested terms, "own" those with a separate column, "regrouped" the others,
-    with the coefficient of each unknown in which they are contained.
+    The key "asked" has all requested terms, "own" the terms with a separate column, and "regrouped"
+    the other terms, each with its coefficient in every unknown that contains it.
     """
     asked = [drives.symbol(term).text for term in drives.asked]
     regrouped = {
@@ -423,7 +429,10 @@ def _drive_set_document(drives: DriveSet, matrices: bool) -> dict[str, Any]:
 def _instrument_document(
     tree: Tree, identifiability: InstrumentIdentifiability
 ) -> dict[str, Any]:
-    """JSON document of one instrument: "never", "combined" or "alone" by body and parameter."""
+    """JSON document of one instrument's identifiability, by body and parameter.
+
+    Values are "never", "combined" (only in combination with other parameters) or "alone".
+    """
     words = ("never", "combined", "alone")
     bodies = {
         joint.body: dict(

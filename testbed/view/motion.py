@@ -37,12 +37,13 @@ def print_excitation(
 ) -> None:
     """Print a designed motion: predicted standard deviations, harmonics, margins to limits.
 
-    By default, only the `MAX_ROWS` parameters with the largest relative standard deviation.
+    By default, only the `MAX_ROWS` parameters with the largest relative standard deviations are
+    printed.
 
     Args:
         console: Console of the output.
         excitation: The designed motion.
-        out: File of the motion.
+        out: File to which the motion was written.
         everything: True to print all parameters and limits.
     """
     count = len(excitation.predicted.names)
@@ -67,9 +68,9 @@ def print_excitation(
 
 
 def _prediction_sentence(excitation: Excitation) -> str:
-    """Sentence with predicted rms relative standard deviation, compared with a random motion.
+    """Sentence with the predicted rms relative standard deviation and condition number.
 
-    The condition number of the regressor follows.
+    The standard deviation is compared with that of a random motion.
     """
     return (
         f"predicted: rms relative standard deviation {excitation.predicted.rms:.2%}, "
@@ -79,9 +80,9 @@ def _prediction_sentence(excitation: Excitation) -> str:
 
 
 def predicted_sigma_table(excitation: Excitation, rows: Sequence[int]) -> Table:
-    """Table of absolute and relative predicted standard deviations.
+    """Table of predicted standard deviations, absolute and relative.
 
-    If a random motion was found, a last column has its relative standard deviations.
+    If a random motion was found, the last column has the relative standard deviations for it.
 
     Args:
         excitation: The designed motion.
@@ -102,9 +103,10 @@ def predicted_sigma_table(excitation: Excitation, rows: Sequence[int]) -> Table:
 
 
 def margin_table(margins: Iterable[Margin]) -> Table:
-    """Table of the margins of a motion to its limits, and their instants [s].
+    """Table of the margins of a motion to its limits.
 
-    Exceeded limits come first; then by margin, ascending.
+    Each margin has the instant at which it is smallest [s]. Exceeded limits come first, then the
+    others in the order of increasing margin.
 
     Args:
         margins: Margins to the limits.
@@ -126,7 +128,7 @@ def print_limit_margins(
 
     Args:
         console: Console of the output.
-        proof: Margins, and whether all limits are proven to be respected.
+        proof: Margins, and the result of the proof that all limits are respected.
         everything: True to print all limits, False for the `MAX_MARGINS` smallest margins.
     """
     table, count = margin_table(proof.margins), len(proof.margins)
@@ -153,7 +155,7 @@ def print_limit_margins(
 
 
 def _margin_text(margin: Margin) -> str:
-    """Text of a margin: distance in mm, or share of the limit in percent."""
+    """Text of a margin: distance in mm, or unused fraction of a limit in percent."""
     return f"{margin.left * 1000:.1f} mm" if margin.unit else f"{margin.left:.2%}"
 
 
@@ -197,7 +199,8 @@ def motion_contents(excitation: Excitation) -> dict[str, Any]:
 def _sigma_section(excitation: Excitation) -> Section:
     """Section with the predicted relative standard deviations of all parameters [%].
 
-    Those of the best random motion are drawn too, if it identifies all parameters.
+    The standard deviations for the best random motion are drawn too, if it identifies all
+    parameters.
     """
     names, relative_sigmas = excitation.predicted.names, excitation.predicted.relative
     random = None if excitation.gain is None else excitation.random
@@ -230,9 +233,9 @@ def _plotted_times(excitation: Excitation) -> Array:
 
 
 def _motion_section(excitation: Excitation) -> Section:
-    """Section with position, velocity and acceleration of every joint over one period.
+    """Section with position, velocity and acceleration of each joint over one period.
 
-    The table compares ranges and largest values with the joint limits.
+    The table compares ranges and largest absolute values with the joint limits.
     """
     times, motion, limits = (
         _plotted_times(excitation),
@@ -282,7 +285,7 @@ def _motion_section(excitation: Excitation) -> Section:
 def _limit_section(excitation: Excitation) -> Section:
     """Section with the smallest margin of each kind of limit over one period.
 
-    The table has the proven margins to all limits.
+    The table has the proven margins to all individual limits.
     """
     times = _plotted_times(excitation)
     panels = [
@@ -308,7 +311,7 @@ def _limit_section(excitation: Excitation) -> Section:
 
 
 def _limit_caption(excitation: Excitation) -> str:
-    """Sentences on the usable share of the limits, required distances, and diagnostics.
+    """Sentences on the usable fraction of the limits, required distances, and diagnostics.
 
     Distances are mentioned only if pairs of bodies are checked for collision.
     """

@@ -52,8 +52,8 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> None:
     """Write an HTML page from a template.
 
     Args:
-        path: The HTML file, replaced if it exists; after an error it is unchanged.
-        template: Name of a template in page/.
+        path: The HTML file; it is replaced if it exists, and unchanged after an error.
+        template: Name of a template in the folder page/.
         content: Variables of the template.
     """
     text = render_page(template, content)
@@ -61,13 +61,13 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> None:
 
 
 def render_page(template: str, content: dict[str, Any]) -> str:
-    """Text of an HTML page, rendered from a template.
+    """Render the text of an HTML page from a template.
 
-    The style sheet, and links to all headings with an anchor, are inserted. A variable missing in
-    `content` is an error.
+    The style sheet, and links to all headings that have an anchor, are inserted. A variable that is
+    missing in `content` is an error.
 
     Args:
-        template: Name of a template in page/.
+        template: Name of a template in the folder page/.
         content: Variables of the template.
     """
     from testbed.view.drawing import svg
@@ -93,9 +93,10 @@ def render_page(template: str, content: dict[str, Any]) -> str:
 
 
 def typeset(text: str) -> Markup:
-    """HTML text with ± for +-, ² for ^2, and special characters escaped.
+    """HTML text with ± for +-, ² for ^2, and escaped special characters.
 
-    Line breaks are prevented before %, in numbers with exponents, and in command-line options.
+    Line breaks are prevented before % signs, in numbers with exponents, and in command-line
+    options.
     """
     for plain, sign in _TYPOGRAPHIC_SIGNS.items():
         text = text.replace(plain, sign)
@@ -107,7 +108,7 @@ def typeset(text: str) -> Markup:
 
 
 def breakable(name: str) -> Markup:
-    """HTML text of a name, with possible line breaks after underscores and slashes."""
+    """HTML text of a name that can be broken after underscores and slashes."""
     return Markup(re.sub("([_/])", r"\1<wbr>", str(escape(name))))
 
 
@@ -119,16 +120,16 @@ MIN_NAME_WIDTH = 12
 
 
 class Progress:
-    """Progress on standard error: a bar on a terminal, otherwise a line at intervals.
+    """Progress display on standard error: a bar on a terminal, otherwise lines of text.
 
-    Lines are at least `MIN_LINE_INTERVAL` (10 s) apart. In nested `with` blocks only the
-    innermost bar is displayed.
+    Lines are printed at intervals of at least `MIN_LINE_INTERVAL` (10 s). In nested `with` blocks,
+    only the innermost bar is displayed.
     """
 
     _open_bars: ClassVar[list[Progress]] = []
 
     def __init__(self, label: str) -> None:
-        """Create a bar without progress.
+        """Create a progress bar at zero.
 
         Args:
             label: Label of the current step.
@@ -193,12 +194,12 @@ class Progress:
 
 
 class PlainConsole(Console):
-    """Rich console that prints control characters of texts as escape sequences."""
+    """Rich console that prints control characters in texts as escape sequences."""
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print as Rich does, with control characters of texts as escape sequences.
+        """Print with Rich; control characters in texts become escape sequences.
 
-        Lines are not wrapped if all objects are texts, unless `soft_wrap` is given.
+        If all objects are strings, lines are not wrapped, unless `soft_wrap` is given.
         """
         only_texts = all(isinstance(each, str) for each in objects)
         escaped = (
@@ -209,9 +210,10 @@ class PlainConsole(Console):
 
 
 def console() -> Console:
-    """Console for standard output, 120 columns wide without a terminal.
+    """Console for standard output.
 
-    The environment variable COLUMNS overrides the width.
+    If standard output is not a terminal, the console is 120 columns wide, or as wide as the
+    environment variable COLUMNS specifies.
     """
     default_console = PlainConsole(markup=False, highlight=False)
     if default_console.is_terminal or "COLUMNS" in os.environ:
@@ -223,7 +225,7 @@ def console() -> Console:
 def print_stage_times() -> Iterator[None]:
     """Context manager that prints the processor time of each stage on standard error.
 
-    The first line is the time from the start of the program to the start of the block.
+    The first line is the time from the start of the program to the entry of the block.
     """
     start_time = time.process_time()
     with measure_stages() as seconds, timed_stage("anything else"):
@@ -245,8 +247,8 @@ def print_result(
     """Print tables, then lines, then diagnostics on standard output.
 
     Args:
-        tables: Tables in order.
-        lines: Lines in order.
+        tables: Tables in the order of printing.
+        lines: Lines in the order of printing.
         diagnostics: Diagnostics in any order.
     """
     out = console()
@@ -257,11 +259,11 @@ def print_result(
 
 
 def print_lines(out: Console, lines: Iterable[str]) -> None:
-    """Print lines, without line breaks at the console's width.
+    """Print lines without line breaks at the console's width.
 
     Args:
         out: Console of the output.
-        lines: Lines in order.
+        lines: Lines in the order of printing.
     """
     for line in lines:
         out.print(line)
@@ -270,9 +272,10 @@ def print_lines(out: Console, lines: Iterable[str]) -> None:
 def print_diagnostics(
     out: Console, diagnostics: Iterable[Diagnostic], max_count: int | None = None
 ) -> None:
-    """Print diagnostics, warnings before notes (level "info"), each with causes and remedy.
+    """Print diagnostics, each with causes and remedy; warnings come before notes.
 
-    With `max_count`, the number of omitted diagnostics is printed last.
+    Notes are diagnostics of level "info". With `max_count`, a last line has the number of omitted
+    diagnostics.
 
     Args:
         out: Console of the output.
@@ -300,14 +303,14 @@ def print_diagnostics(
 
 
 def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
-    """Print the first layout whose tables all fit the console's width.
+    """Print the first layout in which all tables fit the width of the console.
 
-    If no layout fits, the tables of the last layout are split by their groups of columns; if these
-    do not fit, row names are folded. Numbers are never cut off.
+    If no layout fits, the tables of the last layout are split into their groups of columns. If
+    these do not fit either, row names are folded. Numbers are never truncated.
 
     Args:
         out: Console of the output.
-        *layouts: Layouts of the same contents, from wide to narrow.
+        *layouts: Layouts of the same content, from wide to narrow.
     """
     split = [part for table in layouts[-1] for part in table.split]
     unlimited_width = out.options.update(max_width=10_000)
@@ -325,9 +328,10 @@ def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
 
 
 def _rich_table(table: Table, width: int | None = None) -> RichTable:
-    """Table of the library Rich; row names are folded to reach a given width.
+    """Convert a table to a table of the library Rich.
 
-    Columns of numbers keep their width: row names get the rest, at least `MIN_NAME_WIDTH`.
+    Row names are folded to fit the given width. Columns of numbers keep their width; row names are
+    given the remaining width, at least `MIN_NAME_WIDTH`.
 
     Args:
         table: The table.

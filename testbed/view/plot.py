@@ -33,13 +33,14 @@ MIN_DRAWN_SHARE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ErrorDots:
-    """Relative errors and standard deviations of estimates, for a plot of dots and bars.
+    """Relative errors and standard deviations of estimates, drawn as dots and bars.
 
     Attributes:
         names: Names of the parameters, (p,).
-        errors: Absolute relative errors by method, or relative standard deviations where the truth
-            is unknown, (p,) [%]; nan for parameters that a method lacks.
-        sigmas: Relative standard deviations by method, (p,) [%]; {} where the truth is unknown.
+        errors: Absolute relative errors keyed by method, or relative standard deviations if the
+            truth is unknown, (p,) each [%]; nan for parameters that a method does not estimate.
+        sigmas: Relative standard deviations keyed by method, (p,) each [%]; {} if the truth is
+            unknown.
     """
 
     names: Sequence[str]
@@ -57,8 +58,8 @@ class ErrorDots:
     def dots_and_bars(self) -> tuple[dict[str, Array], dict[str, tuple[Array, Array]]]:
         """Positions of the dots, and (left, right) ends of the bars, by method, (p,) each [%].
 
-        Bars reach from the lower end of the logarithmic axis to one sigma. Errors below
-        `MIN_DRAWN_SHARE` of the largest value are drawn there.
+        Bars extend from the lower end of the logarithmic axis to one standard deviation. Errors
+        below the fraction `MIN_DRAWN_SHARE` of the largest value are drawn at this fraction.
         """
         values = np.concatenate([*self.errors.values(), *self.sigmas.values(), [0.0]])
         smallest = MIN_DRAWN_SHARE * np.nanmax(values)
@@ -79,12 +80,13 @@ def error_dots(
 ) -> ErrorDots:
     """Relative errors and sigmas of the parameters with most influence on the signals.
 
-    At most `MAX_PARAMETERS`, by decreasing influence. Errors and sigmas are relative to the scales
-    of `Errors`; without a truth, sigmas are relative to the estimated values.
+    At most `MAX_PARAMETERS` are included, in the order of decreasing influence. Errors and sigmas
+    are relative to the scales of `Errors`; if the truth is unknown, sigmas are relative to the
+    estimated values.
 
     Args:
-        estimates: Estimates of one robot by method.
-        true_errors: Errors against the truth by method; None if the truth is unknown.
+        estimates: Estimates of one robot, keyed by method.
+        true_errors: Errors against the truth, keyed by method; None if the truth is unknown.
     """
     truths: dict[str, float] = {}
     for each in (true_errors or {}).values():
@@ -116,9 +118,9 @@ def run_error_dots(run: Run) -> ErrorDots:
 
 
 def _relative_sigmas(estimate: Estimate) -> Array:
-    """Sigma over absolute value, (p,); nan for values that are zero or known exactly.
+    """Ratios of sigma to absolute value, (p,); nan for values that are zero or exact.
 
-    A value is known exactly if sigma is below its relative rounding error, `RELATIVE_ROUNDING`.
+    A value is exact if its sigma is below the relative rounding error `RELATIVE_ROUNDING`.
     """
     size = np.abs(estimate.values)
     known = (size > 0) & (estimate.sigma > RELATIVE_ROUNDING * size)
@@ -126,7 +128,9 @@ def _relative_sigmas(estimate: Estimate) -> Array:
 
 
 def _percent_by_name(names: Sequence[str], estimate: Estimate, values: Array) -> Array:
-    """Values of an estimate in the order of names [%]; nan for missing values.
+    """Relative values of an estimate in percent, in the order of `names`, (k,).
+
+    The value of a parameter that the estimate lacks is nan.
 
     Args:
         names: Names of parameters, (k,).
@@ -139,9 +143,10 @@ def _percent_by_name(names: Sequence[str], estimate: Estimate, values: Array) ->
 
 
 def parameter_error_section(run: Run) -> Section | None:
-    """Section with relative errors and sigmas of a run's parameters; None without parameters.
+    """Section with relative errors and sigmas of a run's parameters.
 
-    If the truth is unknown, the section has relative standard deviations only.
+    If the truth is unknown, the section contains relative standard deviations only. The result is
+    None if there are no parameters.
 
     Args:
         run: The run.
@@ -192,12 +197,12 @@ def parameter_error_section(run: Run) -> Section | None:
 def plot(
     what: Recording | Run | Estimate, *estimates: Estimate | Information
 ) -> Picture:
-    """Draw residuals of a recording over time, or parameter errors of a run.
+    """Draw the residuals of a recording over time, or the parameter errors of a run.
 
     Args:
-        what: Recording: residuals of each channel are drawn. Run or estimate: errors of the
-            parameters are drawn with bars to one standard deviation, or relative standard
-            deviations where the truth is unknown.
+        what: For a recording, the residuals of each channel are drawn. For a run or an estimate,
+            the errors of the parameters are drawn with bars of one standard deviation, or the
+            relative standard deviations if the truth is unknown.
         *estimates: Estimates of the recording's robot; ignored for a run or estimate.
 
     Returns:
@@ -234,7 +239,7 @@ def plot(
 
 
 def _residual_figure(predictions: Predictions) -> Picture:
-    """Figure of measured minus predicted signals over time, one plot per channel.
+    """Figure of the residuals `measured - predicted` over time, one plot per channel.
 
     The first channel is the main plot of the panel, the others are lower plots.
     """

@@ -33,10 +33,11 @@ CANDIDATE_HEADS = {
 
 
 def posterior_table(posterior: Posterior, max_rows: int | None = None) -> Table:
-    """Table of prior and posterior value with sigma, and data share, of each parameter.
+    """Table of prior value, posterior value with sigma, and data share of each parameter.
 
-    Minimal parameters of the bodies come first, by decreasing data share (share of the prior
-    variance that the data remove), then joint terms, whose prior is "free".
+    The data share is the fraction of the prior variance that the data remove. Minimal parameters of
+    the bodies come first, in the order of decreasing data share; then joint terms, whose prior is
+    given as "free".
 
     Args:
         posterior: Posterior by one method.
@@ -69,9 +70,9 @@ def posterior_table(posterior: Posterior, max_rows: int | None = None) -> Table:
 
 
 def prediction_error_table(errors: PredictionErrors) -> Table:
-    """Table of rms signal and rms prediction error by channel (row) and candidate (column).
+    """Table of rms signal and rms prediction errors, by channel (row) and candidate (column).
 
-    Candidates are model file and estimates; the title names the held-out data.
+    Candidates are the model file and the estimates. The title describes the held-out data.
 
     Args:
         errors: Prediction errors of one method.
@@ -86,9 +87,10 @@ def prediction_error_table(errors: PredictionErrors) -> Table:
 def validation_table(validation: Validation) -> Table:
     """Table of prediction errors on another recording, by channel.
 
-    Columns are rms errors of all candidates (a star marks the validated estimate) or only of this
-    estimate; then, for this estimate: residual over rms signal, mean residual, rms noise, predicted
-    standard deviation, ratio of residual to expected residual, and number of rows.
+    The first columns are the rms errors of all candidates, with a star for the validated estimate,
+    or of this estimate only. The other columns refer to this estimate: ratio of residual to rms
+    signal, mean residual, rms noise, predicted standard deviation, ratio of residual to expected
+    residual, and number of rows.
 
     Args:
         validation: Validation of one method.
@@ -121,9 +123,9 @@ def validation_table(validation: Validation) -> Table:
 def _error_columns(
     prediction_errors: PredictionErrors, reported: str = ""
 ) -> dict[str, list[str]]:
-    """Columns of the rms signal and of the rms error by each candidate.
+    """Columns with the rms signal, and with the rms error of each candidate.
 
-    A star marks the reported candidate. Candidates without errors are left out.
+    A star marks the reported candidate. Candidates that have no errors are left out.
 
     Args:
         prediction_errors: Prediction errors of one method.
@@ -144,5 +146,5 @@ def _error_columns(
 
 
 def _number_texts(numbers: Array, unit: str = "") -> list[str]:
-    """Texts of numbers with a unit; "-" for nan."""
+    """Texts of numbers with their unit; "-" for nan."""
     return ["-" if np.isnan(each) else f"{each:.3g}{unit}" for each in numbers.tolist()]

@@ -47,14 +47,14 @@ SIGNAL_LABELS = {
 def write_report(run: Run, path: Path) -> Path:
     """Write the HTML report of a run, and its numbers as JSON.
 
-    After an error neither file is written.
+    If an error occurs, neither file is written.
 
     Args:
         run: Run of the report.
         path: The HTML file, replaced if it exists.
 
     Returns:
-        The JSON file: of the same name, ending in .json.
+        The JSON file, which has the name of the HTML file with the extension .json.
     """
     content = report_contents(run)
     text = render_page("report.html", content)
@@ -76,13 +76,13 @@ def report(
 ) -> Path:
     """Write the HTML report of a run or run folder, and its numbers as JSON.
 
-    The HTML file needs no other files; the JSON file has the same name.
+    The HTML file is self-contained. The JSON file has the same name with the extension .json.
 
     Args:
         run: A run, or the folder of a run.
         path: The HTML file.
-        unseen: Another recording of the robot, on which predictions are shown; default the
-            recording of the run's validation, else of the run.
+        unseen: Another recording of the robot, for which predictions are shown; default the
+            recording of the run's validation, or of the run if it was not validated.
 
     Returns:
         The HTML file.
@@ -100,7 +100,10 @@ def report(
 
 
 def _json_values(content: Any) -> Any:
-    """Template variables as JSON values: dataclasses as mappings, panels as their titles."""
+    """Convert template variables to JSON values.
+
+    Dataclasses become mappings, and panels are represented by their titles.
+    """
     if isinstance(content, Panel):
         return {"title": content.title}
     if is_dataclass(content):
@@ -146,7 +149,7 @@ def report_contents(run: Run) -> dict[str, Any]:
 
 
 def _estimate_values(estimate: Estimate) -> dict[str, Any]:
-    """Value, standard deviation and unit of each identifiable parameter, by name."""
+    """Value, standard deviation and unit of each identifiable parameter, keyed by name."""
     numbers = estimate.values.tolist(), estimate.sigma.tolist()
     rows = zip(estimate.names, *numbers, estimate.units, strict=True)
     return {
@@ -157,9 +160,9 @@ def _estimate_values(estimate: Estimate) -> dict[str, Any]:
 
 
 def _claim_table(run: Run) -> Table | None:
-    """Table with a row per bound of [expect]: metric, bound, value, and yes or no.
+    """Table with one row per bound of [expect]: metric, bound, value, and yes or no.
 
-    None without bounds.
+    The result is None if there are no bounds.
     """
     expect = {} if run.experiment is None else run.experiment.expect
     rows = [
@@ -175,10 +178,10 @@ def _claim_table(run: Run) -> Table | None:
 
 
 def _posterior_tables(run: Run) -> list[Table]:
-    """Tables of prediction errors on held-out data, then of the posteriors of a run.
+    """Tables of prediction errors on held-out data, followed by a run's posteriors.
 
-    The errors are of each posterior and validation. A posterior has a table of values only if its
-    prior is needed (`used`).
+    There are prediction errors for each posterior and each validation. The values of a posterior
+    are tabulated only if its prior is needed (`Posterior.used`).
     """
     posteriors, validations = run.posterior.values(), run.validation.values()
     errors = [errors for each in posteriors for errors in each.errors]
@@ -188,10 +191,10 @@ def _posterior_tables(run: Run) -> list[Table]:
 
 
 def _identifiability_tables(run: Run) -> list[Table]:
-    """Tables of the identifiability of each link's standard parameters, one per instrument.
+    """Tables of the identifiability of the links' standard parameters, one per instrument.
 
-    Instruments are joint torques, and the force plate if its wrench was recorded; for a floating
-    base the wrench on the base only.
+    The instruments are the joint torques, and the force plate if its wrench was recorded. For a
+    floating base, the only instrument is the wrench on the base.
     """
     tree = run.tree
     names = [*tree.names]
@@ -219,7 +222,10 @@ def _identifiability_tables(run: Run) -> list[Table]:
 
 
 def _setting_texts(run: Run) -> dict[str, str]:
-    """Texts on robot, recording, identification and versions, by label; empty texts omitted."""
+    """Texts on robot, recording, identification and versions, keyed by label.
+
+    Empty texts are left out.
+    """
     tree, recording = run.tree, run.recording
     joints = tree.names[N_BASE_COORDINATES:] if tree.floating else tree.names
     fitted = vars(run.settings.fitted(recording.rate))
@@ -247,16 +253,16 @@ def _setting_texts(run: Run) -> dict[str, str]:
 
 
 def _recorded_signal_labels(run: Run) -> Iterator[str]:
-    """Yield the labels of the recorded signals; the base pose for a floating robot."""
+    """Yield the labels of the recorded signals, including the base pose of a floating robot."""
     for key, label in SIGNAL_LABELS.items():
         if run.tree.floating if key == "base" else key in run.recording.signals:
             yield label
 
 
 def _toml_without_folders(experiment: Experiment) -> str:
-    """TOML text of the experiment, with the model's path reduced to its file name.
+    """TOML text of an experiment in which the model's path is only a file name.
 
-    Reports are sent to other computers, and should not contain names of folders.
+    Reports are sent to other computers and should not disclose folder names.
     """
     model = Path(experiment.model).name
     return experiment.model_copy(update={"model": model}).as_toml()

@@ -10,14 +10,15 @@ from testbed.view.figures import Panel
 
 @dataclass(frozen=True)
 class Table:
-    """Table of texts with column heads and a title.
+    """Table of texts, with column heads and a title.
 
     Attributes:
         heads: Heads of the columns; the first column contains the names of the rows.
         rows: Rows, one cell per column.
         title: Title above the table.
-        left: Heads of left-aligned columns of words; the first column is always left-aligned.
-        parts: Groups of columns, without the first, that become separate tables in little width.
+        left: Heads of further left-aligned columns; the first column is always left-aligned.
+        parts: Groups of columns, without the first column, that become separate tables if the table
+            is too wide.
     """
 
     heads: Sequence[str]
@@ -36,19 +37,19 @@ class Table:
         """Build a table from columns of equal length.
 
         Args:
-            columns: Cells of the columns by head.
+            columns: Cells of the columns, keyed by head.
             title: Title above the table.
-            left: Heads of left-aligned columns of words.
-            parts: Groups of columns that become separate tables in little width.
+            left: Heads of left-aligned columns.
+            parts: Groups of columns that become separate tables if the table is too wide.
         """
         rows = list(zip(*columns.values(), strict=True))
         return Table([*columns], rows, title, left, parts)
 
     @property
     def split(self) -> list[Table]:
-        """Tables of the groups of columns in `parts`, each with the first column.
+        """Separate tables for the groups of columns in `parts`, each with the first column.
 
-        Without groups, one table with all columns.
+        If there are no groups, the result is one table with all columns.
         """
         tables = []
         for part in self.parts or [range(1, len(self.heads))]:
@@ -60,9 +61,9 @@ class Table:
 
     @property
     def markdown(self) -> str:
-        """Markdown text of the table without title, for the Rerun viewer.
+        """Markdown text of the table without its title, for the Rerun viewer.
 
-        A vertical bar in a cell becomes a slash, and +- becomes ±.
+        Vertical bars in cells are replaced by slashes, and +- by ±.
         """
         lines = [self.heads, ["---"] * len(self.heads), *self.rows]
         cells = (
@@ -80,11 +81,11 @@ class Section:
         id: Anchor on a page.
         title: Title of the section.
         explanation: Explanation of the panels in a few sentences.
-        legend: Labels of the curves, by kind.
-        panels: Plots.
-        shown: Number of panels that are not folded away; None for all.
+        legend: Labels of the curves, keyed by kind.
+        panels: Plots of the section.
+        shown: Number of panels that are visible without unfolding; None for all.
         caption: Caption below the panels.
-        table: Numbers of the panels.
+        table: Table with the numbers behind the panels.
     """
 
     id: str

@@ -32,7 +32,7 @@ VISIBLE_CHANNELS, VISIBLE_PANELS = 6, 3
 def sections(predictions: Predictions) -> list[Section]:
     """Sections of a report: signals, residual spectra, friction, drives, consistent bodies.
 
-    Sections without data are omitted.
+    Sections without data are left out.
 
     Args:
         predictions: Predictions on the held-out recording, or on the recording of the fit.
@@ -51,10 +51,10 @@ def sections(predictions: Predictions) -> list[Section]:
 
 
 def _relevant_residuals(channel: Channel) -> dict[Signal, Array]:
-    """Measured minus predicted signal of a channel by method, (M,) each [N or N m].
+    """Residuals `measured - predicted` of a channel, keyed by method, (M,) each [N or N m].
 
-    The plate's estimate predicts joint torques without friction. Its residual is left out for a
-    torque that is also predicted by the estimate from joint torques.
+    The joint torques predicted from the plate contain no friction. The residual of this prediction
+    is left out for a torque that is also predicted from joint torques.
     """
     residuals = channel.residuals
     if channel.kind == "torque" and "torque" in residuals:
@@ -63,13 +63,13 @@ def _relevant_residuals(channel: Channel) -> dict[Signal, Array]:
 
 
 def _prediction_section(predictions: Predictions, smooth: Predictions) -> Section:
-    """Section with a panel of measured and predicted signals and residuals per channel.
+    """Section with measured and predicted signals and residuals, one panel per channel.
 
-    The table has the rms residuals and, on a held-out recording, their expected size.
+    The table contains the rms residuals and, for a held-out recording, their expected size.
 
     Args:
-        predictions: Predictions by the estimates of the run, with the run's validation.
-        smooth: The same through a low-pass, for plots and rms values.
+        predictions: Predictions from the estimates of a run, with the run's validation.
+        smooth: The low-pass filtered predictions, for plots and rms values.
     """
     names = {
         method: predictions.run.instruments[method]
@@ -108,9 +108,10 @@ def _prediction_section(predictions: Predictions, smooth: Predictions) -> Sectio
 
 
 def _signal_panel(predictions: Predictions, channel: Channel) -> Panel:
-    """Panel of one channel: measured and predicted signals above, relevant residuals below.
+    """Panel of one channel, with the signals above and the relevant residuals below.
 
-    Drawn are the first `PLOTTED_DURATION` seconds, reduced to at most 1000 points per curve.
+    The signals are the measured and the predicted ones. Only the first `PLOTTED_DURATION` seconds
+    are drawn, with at most 1000 points per curve.
     """
     time = predictions.motion.t
     in_window = time <= time[0] + PLOTTED_DURATION
@@ -130,15 +131,16 @@ def _signal_panel(predictions: Predictions, channel: Channel) -> Panel:
 def _residual_table(
     predictions: Predictions, smooth: Predictions, names: Mapping[Signal, str]
 ) -> Table:
-    """Table with a row per channel: standard deviation, rms residuals, and residual ratios.
+    """Table with one row per channel: standard deviation, rms residuals, and residual ratios.
 
-    By method: rms residual, residual over the signal's standard deviation and, if validated,
-    residual over expected residual and share of samples in the 95 % band.
+    For each method, the columns are the rms residual, its ratio to the signal's standard deviation
+    and, if validated, its ratio to the expected residual and the fraction of samples in the 95 %
+    band.
 
     Args:
         predictions: Predictions with the run's validation.
-        smooth: Predictions through a low-pass, for the rms values.
-        names: Names of the instruments by method.
+        smooth: The low-pass filtered predictions, for the rms values.
+        names: Names of the instruments, keyed by method.
     """
     heads = ["channel", "unit", "spread (rms)"]
     heads += [f"residual rms, {name}" for name in names.values()]
@@ -153,10 +155,11 @@ def _residual_table(
 
 
 def _residual_row(run: Run, channel: Channel) -> list[str]:
-    """Table row of a channel: name, unit, standard deviation, rms residuals, relative residuals.
+    """Table row of a channel: name, unit, standard deviation, rms and relative residuals.
 
-    The residuals are by method, relative to the standard deviation of the measured signal. A cell
-    is "" if the method does not predict the channel, or if the channel is constant.
+    There is one residual per method; relative residuals are divided by the standard deviation of
+    the measured signal. A cell is "" if the method does not predict the channel, and a relative
+    residual is "" if the channel is constant.
     """
     spread = float(channel.measured.std())
     rms_residuals = {
@@ -181,14 +184,19 @@ def _residual_row(run: Run, channel: Channel) -> list[str]:
 
 
 def _validated_methods(predictions: Predictions) -> list[Signal]:
-    """Methods validated on the held-out recording; [] for the recording of the fit."""
+    """Methods validated on the held-out recording.
+
+    The result is empty if the predictions are for the recording of the fit.
+    """
     return list(predictions.run.validation) if predictions.unseen else []
 
 
 def _ratio_cells(predictions: Predictions, channel: Channel) -> list[str]:
-    """Table cells with residual over expected residual, and share of samples in the band.
+    """Table cells with the residual ratio and the fraction of samples in the band.
 
-    Two cells per validated method; "" for channels of the other signal or without counted rows.
+    The residual ratio is the residual divided by the expected residual. There are two cells per
+    validated method. They are "" for channels of the other signal, and for channels without rows in
+    use.
     """
     cells: list[str] = []
     for method in _validated_methods(predictions):
@@ -205,7 +213,7 @@ def _ratio_cells(predictions: Predictions, channel: Channel) -> list[str]:
 def _spectrum_section(predictions: Predictions) -> Section:
     """Section with the amplitude spectral densities of the relevant residuals of each channel.
 
-    The table has the rms residual below and above `MOTION_BANDWIDTH`.
+    The table contains the rms residuals below and above `MOTION_BANDWIDTH`.
     """
     rate, names = predictions.recording.rate, predictions.run.instruments
     panels, rows = [], []
@@ -252,13 +260,13 @@ def _spectrum_section(predictions: Predictions) -> Section:
 
 
 def _friction_section(predictions: Predictions, torque: Array) -> Section:
-    """Section with unexplained torque and identified friction over velocity, joint by joint.
+    """Section with unexplained torque and identified friction over velocity for each joint.
 
-    The table has the joint terms identified from joint torques, with the truth where known.
+    The table contains the joint terms identified from joint torques, with the truth if known.
 
     Args:
         predictions: Predictions.
-        torque: Motor torque minus rigid-body torque, (M, n) [N m or N].
+        torque: Difference of motor torque and rigid-body torque, (M, n) [N m or N].
     """
     run = predictions.run
     panels = [_friction_panel(predictions, j, torque[:, j]) for j in range(run.tree.n)]
@@ -293,13 +301,14 @@ def _friction_section(predictions: Predictions, torque: Array) -> Section:
 def _friction_panel(predictions: Predictions, j: int, torque: Array) -> Panel:
     """Panel of one joint: unexplained torque and identified friction over velocity.
 
-    Points are samples. Lines, where identified, are the friction model from joint torques at
-    constant velocity, and the friction curve from the plate with a band of `BAND_SIGMAS` sigmas.
+    The points are samples. The lines, if identified, are the friction at constant velocity from the
+    joint terms, and the friction curve from the plate with a band of `BAND_SIGMAS` standard
+    deviations.
 
     Args:
         predictions: Predictions.
         j: Index of the joint.
-        torque: Motor torque minus rigid-body torque, (M,) [N m or N].
+        torque: Difference of motor torque and rigid-body torque, (M,) [N m or N].
     """
     tree, drives = predictions.run.tree, predictions.run.drives
     speed_unit, unit = ("rad/s", "N m") if tree.joints[j].revolute else ("m/s", "N")
@@ -321,7 +330,8 @@ def _friction_panel(predictions: Predictions, j: int, torque: Array) -> Panel:
 def _term_rows(run: Run) -> list[list[str]]:
     """Table rows of the joint terms identified from joint torques, joint by joint.
 
-    A row has joint, kind, unit, value with sigma, and the truth or "". Terms of shafts come last.
+    A row contains joint, kind, unit, value with sigma, and the truth, or "" if unknown. Terms of
+    motor shafts come last.
     """
     estimate = run.estimates.get("torque")
     terms = () if estimate is None else estimate.joint_terms
@@ -339,9 +349,9 @@ def _term_rows(run: Run) -> list[list[str]]:
 
 
 def spectrum(signal: Array, rate: float) -> tuple[Array, Array]:
-    """One-sided amplitude spectral density of a signal by Welch's method, without frequency zero.
+    """One-sided amplitude spectral density of a signal, by Welch's method.
 
-    Segments have at most `MAX_SEGMENT_SAMPLES` samples.
+    Segments have at most `MAX_SEGMENT_SAMPLES` samples. The value at frequency zero is omitted.
 
     Args:
         signal: Signal, (M,).
@@ -357,13 +367,13 @@ def spectrum(signal: Array, rate: float) -> tuple[Array, Array]:
 
 
 def rms_within(frequency: Array, density: Array, low: float, high: float) -> float:
-    """Rms of the part of a signal between two frequencies [unit].
+    """Rms of the components of a signal between two frequencies [unit].
 
     Args:
         frequency: Evenly spaced frequencies [Hz].
         density: Amplitude spectral density [unit/sqrt(Hz)].
         low: Lower limit, included [Hz].
-        high: Upper limit, not included [Hz].
+        high: Upper limit, excluded [Hz].
     """
     in_band = (frequency >= low) & (frequency < high)
     step = float(frequency[1] - frequency[0]) if len(frequency) > 1 else 0.0

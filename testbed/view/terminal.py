@@ -65,8 +65,8 @@ def print_estimates(
 ) -> None:
     """Print the estimates from one recording: verdict, diagnostics, parameters, bodies.
 
-    Diagnostics of single columns come first, as others may follow from these. A posterior is
-    tabulated for methods whose prior is needed, least squares for the others.
+    Diagnostics of single columns come first, since others may be consequences of these. For methods
+    whose prior is needed, the posterior is tabulated; for the others, the least-squares estimate.
 
     Args:
         estimates: Estimates from one recording, one per method.
@@ -124,7 +124,7 @@ def print_estimates(
 
 
 def _is_column_diagnostic(diagnostic: Diagnostic) -> bool:
-    """True if a diagnostic concerns a single column of a recording."""
+    """Test whether a diagnostic concerns a single column of a recording."""
     return "-column." in diagnostic.code
 
 
@@ -138,8 +138,8 @@ def _print_parameters(
 ) -> None:
     """Print the `MAX_ROWS` parameters with most influence on the signals, or all parameters.
 
-    Lines on unidentifiable parameters, on the number of omitted parameters, and `LEGEND` follow.
-    Nothing is printed without estimates.
+    Lines on unidentifiable parameters and on the number of omitted parameters follow, then
+    `LEGEND`. Nothing is printed if there are no estimates.
 
     Args:
         out: Console of the output.
@@ -168,7 +168,7 @@ def print_plate(
     Args:
         plate: The calibration, with the estimate.
         diagnostics: Diagnostics of the robot.
-        path: File of the calibration.
+        path: File to which the calibration was written.
     """
     out = console()
     print_result([plate_matrix_table(plate)], plate_coefficient_lines(plate))
@@ -212,9 +212,10 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
 
 
 def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
-    """Print a line per metric: name, value ("none" if missing), and the bound of [expect].
+    """Print one line per metric: name, value, and the bound of [expect].
 
-    A bound is followed by "holds" or "FAILS"; metrics without a bound have no such text.
+    A missing value is printed as "none". A bound is followed by "holds" or "FAILS"; metrics without
+    a bound have neither.
 
     Args:
         out: Console of the output.
@@ -231,9 +232,10 @@ def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
 
 
 def _print_verdict(out: Console, run: Run) -> None:
-    """Print the experiment's claim, the number of satisfied bounds, and the violated bounds.
+    """Print the claim of an experiment, and which of its bounds hold.
 
-    Nothing is printed for a run without bounds.
+    The output is the number of satisfied bounds and the violated bounds. Nothing is printed for a
+    run without bounds.
     """
     if run.experiment is None or not run.experiment.expect:
         return

@@ -71,16 +71,16 @@ MIN_ROWS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class FrictionCurve:
-    """Friction of one joint over velocity.
+    """Friction of one joint as a function of velocity, linear between nodes.
 
     Attributes:
         joint: Name of the joint.
-        speed: Speeds of the nodes, ascending; zero occurs twice, once for each direction, (m,)
-            [rad/s or m/s].
+        speed: Velocities of the m nodes in ascending order, (m,) [rad/s or m/s]; zero occurs twice,
+            once for each direction.
         torque: Friction torque at the nodes, with the sign of the velocity, (m,) [N m or N].
         sigma: Standard deviation of the friction torque, (m,).
-        constant: Torque constant: reported over true torque.
-        unit: N m or N.
+        constant: Torque constant: ratio of reported to true torque.
+        unit: Unit of the torque, "N m" or "N".
     """
 
     joint: str
@@ -95,7 +95,7 @@ class FrictionCurve:
         freeze_arrays(self, speed=(k,), torque=(k,), sigma=(k,))
 
     def torque_at_speed(self, speed: Array) -> Array:
-        """Friction torque at speeds by linear interpolation, constant beyond the last nodes, (M,).
+        """Linearly interpolated friction torque, (M,) [N m or N]; constant beyond the end nodes.
 
         Args:
             speed: Joint velocities, (M,) [rad/s or m/s].
@@ -106,10 +106,10 @@ class FrictionCurve:
 
 
 def _node_law(direction: int, number: int) -> JointLaw:
-    """Law whose coefficient is the friction torque at a node, for one direction of motion.
+    """Friction law whose coefficient is the torque at one node of the curve.
 
-    Its column is a hat function of speed: 1 at the node, 0 at the others and in the other
-    direction; the last node's stays 1 beyond.
+    The law is a hat function of velocity: 1 at its node, 0 at the other nodes and in the opposite
+    direction of motion. For the last node it remains 1 at higher speeds.
 
     Args:
         direction: Direction of motion, 1 or -1.
@@ -139,18 +139,18 @@ Node = tuple[int, int]
 def friction_curves(
     problem: Problem, bodies: Estimate, drives: Sequence[DriveEstimate] = ()
 ) -> tuple[FrictionCurve, ...]:
-    """Estimate the friction curve of each joint, with its torque constant.
+    """Estimate the friction curve and the torque constant of each joint.
 
-    Rotor inertia and load-dependent friction of `drives`, which are not part of the curve, are
-    estimated at the same time. Nodes with too few rows (`MIN_ROWS`) are left out.
+    The rotor inertia and load-dependent friction in `drives` are not part of the curve; they are
+    estimated at the same time. Nodes with fewer than `MIN_ROWS` rows are left out.
 
     Args:
-        problem: Problem by joint torques.
-        bodies: Estimate by the plate, from this recording or another.
-        drives: Estimate of each joint with its terms; empty for no other terms.
+        problem: Identification problem for the joint torques.
+        bodies: Estimate from the plate's wrench, of this recording or another.
+        drives: Estimates of the joints, whose terms are included; empty for no further terms.
 
     Raises:
-        SettingsError: The estimate is not by the plate, or of other parameters.
+        SettingsError: The estimate is not from the plate's wrench, or has other parameters.
     """
     tree = problem.tree
     other_laws = {
@@ -181,9 +181,10 @@ def friction_curves(
 
 
 def _used_nodes(torques: TorqueRegressionData, joint: int) -> list[Node]:
-    """Nodes with at least `MIN_ROWS` effective rows, negative direction first, then by index.
+    """Nodes with at least `MIN_ROWS` effective rows, sorted by direction, then index.
 
-    Effective rows: sum of squares of the node's column.
+    The negative direction comes first. The effective number of rows of a node is the sum of squares
+    of its regressor column.
     """
     normal, _, _ = torques.equations.of_channel(joint)
     columns = torques.drives.columns @ torques.terms(joint, NODE_LAWS.values())
@@ -198,9 +199,11 @@ def _used_nodes(torques: TorqueRegressionData, joint: int) -> list[Node]:
 def _interpolation_matrix(
     torques: TorqueRegressionData, joint: int, nodes: Sequence[Node], direction: int
 ) -> Array:
-    """Matrix from torques at k used nodes of one direction to all requested terms, (asked, k).
+    """Matrix that interpolates torques at used nodes to the requested terms, (t, k).
 
-    Torques at unused nodes: linear inter- and extrapolation in speed; constant for one used node.
+    It maps the torques at the k used nodes of one direction to coefficients of the t requested
+    terms. Torques at unused nodes are interpolated or extrapolated linearly in speed; they are
+    constant if only one node is used.
 
     Args:
         torques: Regression data of the joint torques.
@@ -226,7 +229,7 @@ def _interpolation_matrix(
 def _friction_curve(
     tree: Tree, regression: JointRegression, nodes: Sequence[Node]
 ) -> FrictionCurve:
-    """Friction curve from a joint's regression, nodes in ascending order of speed."""
+    """Friction curve from the regression of a joint, with nodes in order of velocity."""
     torque, covariance = regression.true_coefficients
     sigma = standard_deviations(covariance)
     speed = np.array([direction * NODES[number] for direction, number in nodes])
@@ -252,12 +255,13 @@ BLOCK_ROWS = 16
 
 @dataclass(frozen=True)
 class JointTermChoice:
-    """Chosen friction laws of one joint.
+    """Friction laws selected for one joint.
 
     Attributes:
-        laws: Chosen laws, basic laws and rotor included, which every joint has.
-        steps: Steps of the forward selection; the first has only these laws.
-        next_best: Step with the best rejected law; None if no candidate remained.
+        laws: Selected laws, including the basic laws and the rotor, which every joint has.
+        steps: Steps of the forward selection; the first contains only the laws that every joint
+            has.
+        next_best: Step with the best rejected law; None if no candidate was left.
     """
 
     laws: tuple[JointLaw, ...]
@@ -266,10 +270,10 @@ class JointTermChoice:
 
 
 def offered(laws: Sequence[JointLaw], signals: Collection[str]) -> tuple[JointLaw, ...]:
-    """Laws that are candidates for the choice of a joint's terms.
+    """Candidate laws for the selection of a joint's terms.
 
     Args:
-        laws: Laws of the settings; of these only a rotor's inertia is a candidate.
+        laws: Laws of the settings; only the rotor inertia is taken from these.
         signals: Names of the recording's signals; temperature laws require "temperature".
     """
     rotor = tuple(law for law in laws if law == ROTOR)
@@ -280,14 +284,15 @@ def offered(laws: Sequence[JointLaw], signals: Collection[str]) -> tuple[JointLa
 def chosen_terms(
     tree: Tree, torques: TorqueRegressionData, bodies: Estimate
 ) -> dict[int, JointTermChoice]:
-    """Choose the terms of each joint by cross-validation, by joint index.
+    """Select the terms of each joint by cross-validation, keyed by joint index.
 
-    Terms of load or temperature are dropped below `Z_THRESHOLD` standard deviations.
+    Terms of load or temperature are dropped if their coefficient is below `Z_THRESHOLD` standard
+    deviations.
 
     Args:
         tree: The robot.
         torques: Regression data with the columns of all candidate laws.
-        bodies: Estimate by the plate.
+        bodies: Estimate from the plate's wrench.
     """
     products = _fold_products(torques)
     choices = {
@@ -312,11 +317,13 @@ def chosen_terms(
 def term_selection_matrices(
     torques: TorqueRegressionData, choices: Mapping[int, JointTermChoice]
 ) -> dict[int, Array]:
-    """Selection matrix of each joint's q chosen terms among all requested terms, (asked, q).
+    """Selection matrices of the chosen terms, keyed by joint index, (t, q).
+
+    Each selects the joint's q chosen terms from the t requested terms.
 
     Args:
         torques: Regression data with the columns of all candidate laws.
-        choices: Chosen laws by joint index, the key of the result.
+        choices: Selected laws, keyed by joint index.
     """
     return {
         joint: torques.terms(joint, choice.laws) for joint, choice in choices.items()
@@ -324,7 +331,10 @@ def term_selection_matrices(
 
 
 def _fold_products(torques: TorqueRegressionData) -> CrossProducts:
-    """Products of all joints' columns and torques in `FOLDS` folds of consecutive rows."""
+    """Products of all joints' columns and torques in `FOLDS` cross-validation folds.
+
+    A fold consists of consecutive rows.
+    """
     rows = torques.passes.rows(torques.combined)
     blocks_by_fold = np.array_split(
         range(0, torques.passes.plan.rows, BLOCK_ROWS), FOLDS
@@ -341,10 +351,10 @@ def _fold_products(torques: TorqueRegressionData) -> CrossProducts:
 def _chosen_laws(
     torques: TorqueRegressionData, joint: int, products: CrossProducts
 ) -> JointTermChoice:
-    """Laws of a joint by forward selection with cross-validation.
+    """Select the laws of a joint by forward selection with cross-validation.
 
-    Stribeck friction is a candidate only with enough slow rows: its coefficient is the friction at
-    zero speed, an unbounded extrapolation from faster rows.
+    Stribeck friction is a candidate only if there are enough slow rows: its coefficient is the
+    friction at zero speed, which faster rows determine only by extrapolation.
 
     Args:
         torques: Regression data with the columns of all candidate laws.
@@ -381,7 +391,7 @@ friction near velocity reversals resemble these terms."""
 
 @dataclass(frozen=True)
 class DriveTerm:
-    """Coefficient of a joint term in true torque.
+    """Coefficient of a joint term, in terms of true torque.
 
     Attributes:
         law: Law of the term.
@@ -402,13 +412,13 @@ class DriveEstimate:
 
     Attributes:
         joint: Name of the joint.
-        constant: Torque constant: reported over true torque, 1 if the drive's constant is right.
+        constant: Torque constant: ratio of reported to true torque, 1 for a perfect drive.
         sigma: Standard deviation of the torque constant.
-        terms: Joint terms in true torque.
+        terms: Joint terms, in terms of true torque.
         residual: Rms residual in reported torque [N m or N].
         unit: N m or N.
-        rows: Number of counted rows.
-        choice: Choice of the terms; None for terms of the settings.
+        rows: Number of rows used in the fit.
+        choice: Selection of the terms; None if the terms were given by the settings.
     """
 
     joint: str
@@ -421,9 +431,9 @@ class DriveEstimate:
     choice: JointTermChoice | None = None
 
     def friction(self, speed: Array, load: Array) -> Array:
-        """Friction torque at constant speeds and 25 degC, offset included, (M,) [N m or N].
+        """Friction torque, including offset, at constant velocities and 25 degC, (M,) [N m or N].
 
-        Drift and temperature terms count as zero.
+        Terms of drift and temperature are not included.
 
         Args:
             speed: Joint velocities, (M,) [rad/s or m/s].
@@ -449,13 +459,15 @@ def drive_estimate(
     regression: JointRegression,
     choice: JointTermChoice | None = None,
 ) -> DriveEstimate:
-    """Torque constant and terms of a joint from its regression, in true torque.
+    """Torque constant and terms of a joint, from its regression.
+
+    The coefficients of the terms are converted from reported to true torque.
 
     Args:
         tree: The robot.
         torques: Regression data with all terms.
-        regression: Regression of the joint, each coefficient that of one term.
-        choice: Choice of the terms.
+        regression: Regression of the joint, with one coefficient per term.
+        choice: Selection of the terms, if they were selected.
     """
     laws = [torques.drives.asked[k].law for k in regression.terms.argmax(axis=0)]
     joint = tree.joints[regression.joint]

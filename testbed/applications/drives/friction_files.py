@@ -32,10 +32,11 @@ FORMULA_PREFIXES = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def friction_table(findings: DriveIdentification) -> str:
-    """CSV table of the friction curves and of the fitted friction laws.
+    """CSV table of friction curves and fitted friction laws.
 
-    A row for each node of each joint's curve, with columns `TABLE_COLUMNS`: SI units, joint side,
-    true torque. "law" is the friction of the joint's terms at zero load.
+    It has one row per node of each joint's curve, with the columns `TABLE_COLUMNS`, in SI units at
+    the joint side and in terms of true torque. The column "law" is the friction from the joint's
+    terms at zero load.
 
     Args:
         findings: Friction curves and terms of all joints.
@@ -59,12 +60,12 @@ def friction_table(findings: DriveIdentification) -> str:
 
 
 def bam_parameters(drive: DriveEstimate) -> dict[str, object]:
-    """Joint friction as parameters, by key, of BAM's simplest sufficient model: M1, M2, M5, M6.
+    """Joint friction as parameters of the simplest sufficient BAM model, by key.
 
-    M6's quadratic load friction decays with speed as Stribeck friction does, so it is used only
-    without Stribeck friction; of a backdriven gear it depends on the motor's torque. Terms without
-    a counterpart in the model are listed under `left_out`, which BAM ignores. `kt` is not
-    identified: multiply it by `constant`.
+    The model is M1, M2, M5 or M6. In M6, the quadratic load friction decays with speed as Stribeck
+    friction does, so M6 is used only without Stribeck friction; for a backdriven gear, this term
+    depends on the motor's torque. Terms that the model lacks are listed under `left_out`, which BAM
+    ignores. `kt` is not identified; the value in use must be multiplied by `constant`.
 
     Source    github.com/Rhoban/bam, bam/model.py; Duclusaud et al., arXiv 2410.08650 (2024).
 
@@ -124,7 +125,7 @@ LARGE_SPEED = 1e9
 
 
 def bam_file(findings: DriveIdentification) -> str:
-    """JSON text with the parameters of BAM's models by joint.
+    """JSON text with the parameters of BAM's models, keyed by joint.
 
     Args:
         findings: Terms of all joints.
@@ -134,7 +135,7 @@ def bam_file(findings: DriveIdentification) -> str:
 
 
 def write_friction(findings: DriveIdentification, path: Path) -> None:
-    """Write a friction table (.csv), or parameters of BAM's models (.json).
+    """Write a friction table (.csv) or parameters of BAM's models (.json).
 
     Args:
         findings: Friction curves and terms of all joints.

@@ -62,12 +62,12 @@ MIN_P_VALUE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Disagreement(Diagnosed):
-    """Change of the plate's estimate by added joint torques, tested for significance.
+    """Test of the change of the plate's estimate when joint torques are added.
 
     Attributes:
-        names: Parameters whose variance joint torques reduce, (k,).
-        z: Change of each parameter over the standard deviation of the change, (k,).
-        p_value: P-value of the change if both signals are consistent.
+        names: The k parameters whose variance is reduced by the joint torques, (k,).
+        z: Change of each parameter divided by the standard deviation of the change, (k,).
+        p_value: P-value of the change under the hypothesis that both signals are consistent.
     """
 
     names: tuple[str, ...]
@@ -79,9 +79,9 @@ class Disagreement(Diagnosed):
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostic with the three parameters that change most in sigmas.
+        """Diagnostic with the three parameters that change most, in standard deviations.
 
-        Empty for consistent signals: a p-value of at least `MIN_P_VALUE`.
+        The result is empty if the signals are consistent: a p-value of at least `MIN_P_VALUE`.
         """
         if self.p_value >= MIN_P_VALUE:
             return ()
@@ -100,10 +100,10 @@ class Disagreement(Diagnosed):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class CombinedEstimate(Gaussian):
-    """Base parameters of the plate estimated from plate and joint torques together.
+    """Base parameters of the wrench, estimated from plate and joint torques together.
 
     Attributes:
-        constants: Torque constants (reported over true torque) of the joints.
+        constants: Torque constants of the joints: ratios of reported to true torque.
         disagreement: Test of agreement between plate and joint torques.
     """
 
@@ -116,17 +116,18 @@ def combined(
     bodies: Estimate,
     regressions: tuple[JointRegression, ...],
 ) -> CombinedEstimate:
-    """Estimate base parameters from the plate's estimate and joint torques together.
+    """Estimate base parameters from the plate's estimate and the joint torques together.
 
-    Nonlinear least squares, since the unknown torque constant multiplies the unknown parameters;
-    starts at the plate's estimate. Parameters that the plate leaves undetermined have a wide prior,
-    and are unidentifiable unless torques reduce its standard deviation `PRIOR_SIGMA_RATIO`-fold.
+    The least-squares problem is nonlinear, since the unknown torque constants multiply the unknown
+    parameters; iteration starts at the plate's estimate. Parameters that the plate leaves
+    undetermined are given a wide prior. They are unidentifiable unless the torques reduce its
+    standard deviation at least by the factor `PRIOR_SIGMA_RATIO`.
 
     Args:
         torques: Regression data of the recording's joint torques.
-        bodies: Estimate by the plate.
-        regressions: Regression of each joint's torque on the estimate's prediction: initial values
-            and noise level.
+        bodies: Estimate from the plate's wrench.
+        regressions: Regression of each joint's torque on the torque predicted by the estimate, for
+            initial values and noise level.
     """
     is_undetermined = np.isinf(bodies.sigma)
     prior_covariance = np.where(
@@ -171,20 +172,20 @@ def _joint_fit(
     root: Array,
     regressions: Sequence[JointRegression],
 ) -> tuple[Array, Array]:
-    """Least-squares solution for plate parameters and every joint's values, and covariance.
+    """Least-squares solution for plate parameters and joint coefficients, with covariance.
 
-    Parameters are plate + root @ coordinates, with coordinates of unit covariance by the plate's
-    estimate.
+    The plate parameters are `plate + root @ coordinates`; the coordinates have unit covariance in
+    the plate's estimate.
 
     Args:
         torques: Regression data of the recording's joint torques.
-        plate: The N_r base parameters by the plate, (N_r,).
-        root: Square root of the covariance of the base parameters, (N_r, r).
+        plate: The N_r base parameters estimated from the plate, (N_r,).
+        root: Square root of the covariance of these parameters, (N_r, r).
         regressions: Regression of each joint, for initial values and noise.
 
     Returns:
-        Solution, (m,): r coordinates, then torque constant and term coefficients joint by joint;
-            and covariance, (m, m).
+        Solution, (m,), with the r coordinates first, then torque constant and term coefficients of
+        each joint; and its covariance, (m, m).
     """
     ends = np.cumsum(
         [root.shape[1], *(len(values.values) for values in regressions[:-1])]
@@ -192,7 +193,7 @@ def _joint_fit(
     joint_rows = [_joint_rows(torques, values) for values in regressions]
 
     def residuals(unknowns: Array) -> Array:
-        """Residuals of the plate's estimate and of every joint's rows, in standard deviations."""
+        """Residuals of the plate's estimate and of all joints' rows, in standard deviations."""
         coordinates, *joint_values = np.split(unknowns, ends)
         torque = torques.plate_to_unknowns @ (plate + root @ coordinates)
         joint_residuals = [
@@ -219,7 +220,10 @@ def _joint_fit(
 
 
 def _covariance_root(covariance: Array) -> Array:
-    """Root R with R R' the covariance, (p, r); r eigenvalues above `EXACT_VARIANCE_SHARE`."""
+    """Matrix square root R of a covariance R R', (p, r).
+
+    It has one column for each of the r relative eigenvalues above `EXACT_VARIANCE_SHARE`.
+    """
     unit, scale = unit_diagonal(covariance)
     variances, axes = eigh(unit)
     is_uncertain = variances > EXACT_VARIANCE_SHARE
@@ -231,8 +235,8 @@ def _joint_rows(
 ) -> tuple[Array, Array, Array]:
     """Compressed regression rows of one joint, in units of noise: R, y and term columns.
 
-    R, (r, p), and y, (r,), have the same normal equations as all rows, by the p unknowns of the
-    torques; the matrix from the joint's q coefficients to these unknowns is (p, q).
+    R, (r, p), and y, (r,), give the same normal equations in the p unknowns of the torques as all
+    rows do. The term columns, (p, q), map the q coefficients of the joint to these unknowns.
 
     Args:
         torques: Regression data of the recording's joint torques.
@@ -251,17 +255,17 @@ def _joint_rows(
 def _disagreement(
     bodies: Estimate, plate_covariance: Array, values: Array, covariance: Array
 ) -> Disagreement:
-    """Test of the change of the plate's estimate by added joint torques.
+    """Test the change of the plate's estimate when joint torques are added.
 
-    The covariance of the change is the difference of both covariances. Only parameters and
-    directions are tested whose variance falls by more than `MIN_VARIANCE_REDUCTION`. P-value:
-    smaller one of the chi-square test of all and the largest z (Bonferroni).
+    The covariance of the change is the difference of the two covariances. Only parameters and
+    directions whose variance falls by more than `MIN_VARIANCE_REDUCTION` are tested. The p-value is
+    the smaller of those of the chi-square test of all directions and of the largest z (Bonferroni).
 
     Args:
-        bodies: Estimate by the plate.
-        plate_covariance: Covariance by the plate alone, (N_r, N_r).
-        values: Parameters by both signals, (N_r,).
-        covariance: Covariance by both signals, (N_r, N_r).
+        bodies: Estimate from the plate's wrench.
+        plate_covariance: Covariance of the parameters from the plate alone, (N_r, N_r).
+        values: Parameters from both signals, (N_r,).
+        covariance: Covariance of the parameters from both signals, (N_r, N_r).
     """
     change, change_covariance = values - bodies.values, plate_covariance - covariance
     _, scale = unit_diagonal(plate_covariance)
@@ -292,12 +296,12 @@ def _disagreement(
 
 @dataclass(frozen=True, eq=False)
 class DriveIdentification(Diagnosed):
-    """Results of drive identification: torque constants, terms, curves, combined estimate.
+    """Results of drive identification: torque constants, joint terms, curves, combined estimate.
 
     Attributes:
         estimates: Torque constant and terms of each joint.
-        curves: Friction over velocity of each joint.
-        combined: Base parameters by plate and joint torques together.
+        curves: Friction curve of each joint over velocity.
+        combined: Base parameters estimated from plate and joint torques together.
     """
 
     estimates: tuple[DriveEstimate, ...]
@@ -306,7 +310,7 @@ class DriveIdentification(Diagnosed):
 
     @property
     def gears(self) -> dict[str, float]:
-        """True over reported torque by joint name: the inverse of the torque constant."""
+        """Ratios of true to reported torque, the inverse torque constants, keyed by joint name."""
         return {estimate.joint: 1 / estimate.constant for estimate in self.estimates}
 
     __get_pydantic_core_schema__ = schema_with_properties("diagnostics")
@@ -320,8 +324,8 @@ class DriveIdentification(Diagnosed):
 def with_identified_drives(tree: Tree, findings: DriveIdentification) -> Tree:
     """Robot with the identified friction and rotor inertias of its joints.
 
-    Only laws with a parameter in the model are used, as Coulomb and viscous friction and rotor
-    inertia; negative coefficients become zero.
+    Only laws that the robot model can represent are used, such as Coulomb friction, viscous
+    friction and rotor inertia. Negative coefficients are replaced by zero.
 
     Args:
         tree: The robot.
@@ -349,23 +353,24 @@ def identify_drives(
     threads: int | None = None,
     progress: Progress = ignore_progress,
 ) -> DriveIdentification:
-    """Identify torque constants, joint terms and friction curves; combine plate and torques.
+    """Identify torque constants, joint terms and friction curves, and a combined estimate.
 
     Args:
         tree: The robot; its inertias are not used, except for `settings.zeros`.
         recording: Recording with joint torques, as for `identify`.
-        bodies: Estimate by the plate, from this recording or another; or by a force sensor in the
-            robot that carries all links beyond it: then only the joints beyond are identified.
+        bodies: Estimate from the plate's wrench, of this recording or another. For an estimate from
+            a force sensor in the robot that carries all links beyond it, only the joints beyond are
+            identified.
         gravity: Gravity, (3,) [m/s^2], bedplate frame; default as for `identify`.
-        settings: Signal processing, and the joint terms.
-        choose: True to choose each joint's terms by cross-validation; of the terms in the settings
-            only the rotor's inertia is then used.
+        settings: Signal processing and joint terms.
+        choose: True to select each joint's terms by cross-validation; of the terms in the settings,
+            only the rotor inertia is then used.
         threads: Number of threads; default one per processor.
         progress: Called with the numbers of processed samples and of all samples.
 
     Raises:
-        RecordingError: The recording has no torques, or is of another robot.
-        SettingsError: The estimate is not by the plate, or of other parameters.
+        RecordingError: The recording has no torques, or is from another robot.
+        SettingsError: The estimate is not from the plate's wrench, or has other parameters.
     """
     problem = Problem.from_recording(
         tree,

@@ -44,14 +44,14 @@ MIN_REPLICA_COEFFICIENTS = 400
 
 
 class JointAttenuation(NamedTuple):
-    """Correction of a regression on predicted torques for attenuation by prediction errors.
+    """Correction for the attenuation that errors of the predicted torque cause.
 
     Attributes:
-        slope: Derivative of the corrected values with respect to the uncorrected values, constant
-            first, then q terms, (1 + q, 1 + q).
-        covariance: Covariance of the corrected values, first-order effect of the bodies' errors
-            excluded, (1 + q, 1 + q).
-        reliability: Fraction of the torque constant that remains after attenuation.
+        slope: Derivative of the corrected values with respect to the uncorrected values, (1 + q, 1
+            + q): torque constant first, then q terms.
+        covariance: Covariance of the corrected values, without the first-order effect of the
+            bodies' errors, (1 + q, 1 + q).
+        reliability: Ratio of attenuated to true torque constant.
     """
 
     slope: Array
@@ -65,13 +65,13 @@ def correct_attenuation(
     """Correct a regression for attenuation by errors in the predicted torque ([Ful87] section 1.2).
 
     Errors in a regressor increase its sum of squares and reduce its coefficient in proportion. The
-    uncertainty of that increase is part of the covariance.
+    covariance includes the uncertainty of that increase.
 
     Args:
-        fit: Fit on the columns with errors.
-        square: Normal matrix of the columns, (1 + q, 1 + q).
-        spread: Normal matrix of the plate's parameters times their covariance; its trace is the
-            expected increase of the first column's sum of squares.
+        fit: Fit to the regressor columns with errors.
+        square: Normal matrix of these columns, (1 + q, 1 + q).
+        spread: Product of the normal matrix and the covariance of the plate's parameters; its trace
+            is the expected increase of the first column's sum of squares.
     """
     count = len(fit.values)
     # part of the sum of squares that is independent of the terms
@@ -105,21 +105,20 @@ ROUNDING_SHARE = 1e-20
 
 @dataclass(frozen=True, eq=False)
 class JointRegression:
-    """Regression of one joint's reported torque on its predicted torque and its terms.
+    """Regression of one joint's reported torque on its predicted torque and joint terms.
 
     Attributes:
         joint: Joint index.
-        terms: Matrix from the q coefficients to the coefficients of the requested terms, (asked,
-            q).
-        values: Torque constant (reported over true torque), then the coefficients in reported
-            torque, (1 + q,).
-        covariance: Covariance of the values, errors of the bodies included, (1 + q, 1 + q).
+        terms: Matrix from the q coefficients to the coefficients of the t requested terms, (t, q).
+        values: Torque constant (ratio of reported to true torque), then the q coefficients in terms
+            of reported torque, (1 + q,).
+        covariance: Covariance of the values, including errors of the bodies, (1 + q, 1 + q).
         residual: Rms residual in reported torque [N m or N].
         noise: Standard deviation of independent rows that would give the same covariance [N m or
             N].
-        rows: Number of counted rows.
-        reliability: Fraction of the constant that remains after attenuation by errors of the
-            predicted torque; the values are corrected for it, down to `MIN_RELIABILITY`.
+        rows: Number of rows used in the fit.
+        reliability: Ratio of attenuated to true torque constant; the attenuation, due to errors of
+            the predicted torque, has been corrected, down to `MIN_RELIABILITY`.
     """
 
     joint: int
@@ -133,7 +132,7 @@ class JointRegression:
 
     @property
     def true_coefficients(self) -> tuple[Array, Array]:
-        """Coefficients in true torque, (q,), and covariance, (q, q)."""
+        """Coefficients in terms of true torque, (q,), and their covariance, (q, q)."""
         constant, terms = float(self.values[0]), self.values[1:] / self.values[0]
         jacobian = np.column_stack([-terms / constant, np.eye(len(terms)) / constant])
         return terms, jacobian @ self.covariance @ jacobian.T
@@ -143,17 +142,18 @@ class JointRegression:
 class TorqueRegressionData:
     """Regression data of a recording's joint torques, with torques predicted from the plate.
 
-    p unknowns of the torques, N_r base parameters of the plate, `asked` requested terms.
+    The joint torques have p unknowns, the plate N_r base parameters. Of the t requested joint
+    terms, those that depend on other unknowns are regrouped into these.
 
     Attributes:
         drives: Unknowns of the joint torques.
         passes: Passes over the regressor rows.
         equations: Normal equations of all rows.
         plate_to_unknowns: Matrix from the plate's base parameters to the unknowns, (p, N_r).
-        joints: Indices of the joints whose torque the wrench determines: all, or the joints beyond
-            a sensor.
-        combined: Matrix from regression coefficients to unknowns, (p, 1 + asked): predicted torque,
-            and the requested terms.
+        joints: Indices of the joints whose torque follows from the wrench: all joints, or those
+            beyond a force sensor.
+        combined: Matrix from regression coefficients (predicted torque, then requested terms) to
+            unknowns, (p, 1 + t).
     """
 
     drives: DriveSet
@@ -164,28 +164,28 @@ class TorqueRegressionData:
     combined: Array
 
     def columns(self, terms: Array) -> Array:
-        """Matrix from a regression's coefficients to the unknowns, (p, 1 + q).
+        """Matrix from the 1 + q coefficients of a regression to the unknowns, (p, 1 + q).
 
         Args:
-            terms: Matrix from the regression's coefficients to coefficients of the requested terms,
-                (asked, q).
+            terms: Matrix from the q coefficients to the coefficients of the t requested terms, (t,
+                q).
         """
         return np.asarray(self.combined @ block_diag(1.0, terms))
 
     def products(self, joint: int, terms: Array) -> Array:
-        """Normal matrix of a joint's regression, (1 + q, 1 + q).
+        """Normal matrix of a joint's regression in 1 + q coefficients, (1 + q, 1 + q).
 
         Args:
             joint: Joint index.
-            terms: Matrix from the regression's coefficients to coefficients of the requested terms,
-                (asked, q).
+            terms: Matrix from the q coefficients to the coefficients of the t requested terms, (t,
+                q).
         """
         normal, _, _ = self.equations.of_channel(joint)
         columns = self.columns(terms)
         return columns.T @ normal @ columns
 
     def terms(self, joint: int, laws: Iterable[JointLaw] | None = None) -> Array:
-        """Selection matrix of a joint's terms among the requested terms, (asked, q).
+        """Matrix that selects the q terms of a joint from the t requested terms, (t, q).
 
         Args:
             joint: Joint index.
@@ -203,15 +203,15 @@ class TorqueRegressionData:
 def torque_regression_data(
     problem: Problem, bodies: Estimate, laws: Sequence[str | JointLaw] | None = None
 ) -> TorqueRegressionData:
-    """Collect regression data of joint torques, with torques predicted by the plate's estimate.
+    """Collect regression data of joint torques, with torques predicted from the plate.
 
     Args:
-        problem: Problem by joint torques.
-        bodies: Estimate by the plate, from this recording or another.
+        problem: Identification problem for the joint torques.
+        bodies: Estimate from the plate's wrench, of this recording or another.
         laws: Laws of the joint terms; default the laws of the settings.
 
     Raises:
-        SettingsError: The estimate is not by the plate or a force sensor, or of other parameters.
+        SettingsError: The estimate is not from a plate or force sensor, or has other parameters.
     """
     if problem.tree.shafts:
         raise SettingsError(
@@ -252,13 +252,13 @@ def fit_joint_regressions(
     bodies: Estimate,
     term_matrices: Mapping[int, Array] | None = None,
 ) -> tuple[JointRegression, ...]:
-    """Fit the regression of each joint's torque, with a covariance under coloured noise.
+    """Fit the regression of each joint's torque, assuming coloured noise.
 
     Args:
         torques: Regression data of the joint torques.
-        bodies: Estimate by the plate.
-        term_matrices: Matrix from regression coefficients to coefficients of the requested terms by
-            joint index, (asked, q); default all terms of each joint.
+        bodies: Estimate from the plate's wrench.
+        term_matrices: Matrix from the q coefficients to those of the t requested terms, (t, q),
+            keyed by joint index; default all terms of each joint.
 
     Raises:
         RecordingError: The rows of a joint do not determine its coefficients.
@@ -310,14 +310,13 @@ def _corrected_regression(
     fit: NoiseFit,
     squares: float,
 ) -> JointRegression:
-    """Regression of a joint, corrected for errors of the estimate by the plate.
+    """Regression of a joint, corrected for errors of the plate's estimate.
 
     Args:
         torques: Regression data of the joint torques.
-        bodies: Estimate by the plate.
+        bodies: Estimate from the plate's wrench.
         joint: Joint index.
-        terms: Matrix from the regression's coefficients to coefficients of the requested terms,
-            (asked, q).
+        terms: Matrix from the q coefficients to the coefficients of the t requested terms, (t, q).
         fit: Uncorrected fit.
         squares: Sum of squared residuals.
     """
@@ -352,9 +351,9 @@ def _corrected_regression(
 def _prediction_matrix(
     tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings
 ) -> Array:
-    """Matrix from the plate's N_r base parameters to the p unknowns of joint torques, (p, N_r).
+    """Matrix from N_r plate parameters to p joint-torque unknowns, (p, N_r).
 
-    Rows of joint terms are zero. Raises SettingsError if the estimate is of other parameters.
+    Rows of joint terms are zero. A SettingsError is raised if the estimate has other parameters.
     """
     if bodies.minimal.of_sensor:
         if not {*bodies.joints} <= {*tree.names} or bodies.minimal.subtracted_sensors:
@@ -385,13 +384,14 @@ def _prediction_matrix(
 def _fits(
     torques: TorqueRegressionData, column_matrices: Mapping[int, Array]
 ) -> dict[int, tuple[NoiseFit, float]]:
-    """Fit of each joint's regression, and sum of squared residuals, by joint index.
+    """Fit of each joint's regression with sum of squared residuals, keyed by joint index.
 
     The covariance is scaled by replicas of the coloured noise (parametric bootstrap).
 
     Args:
         torques: Regression data of the joint torques.
-        column_matrices: Matrix from regression coefficients to `torques.combined`, by joint index.
+        column_matrices: Matrix from regression coefficients to `torques.combined`, keyed by joint
+            index.
     """
     sums = {joint: LaggedSums(MAX_AUTOREGRESSION_ORDER) for joint in column_matrices}
     for joint, block in _row_blocks(torques, column_matrices):
@@ -433,11 +433,12 @@ def _fits(
 def _row_blocks(
     torques: TorqueRegressionData, column_matrices: Mapping[int, Array]
 ) -> Iterator[tuple[int, Array]]:
-    """Yield joint index and k rows: columns, torque, indicator of counted rows, (1, k, ...).
+    """Yield joint index and k rows: columns, torque, indicator of rows in use, (1, k, ...).
 
     Args:
         torques: Regression data of the joint torques.
-        column_matrices: Matrix from regression coefficients to `torques.combined`, by joint index.
+        column_matrices: Matrix from regression coefficients to `torques.combined`, keyed by joint
+            index.
     """
     for columns, measured in torques.passes.rows(torques.combined):
         is_counted = row_indicators(columns, measured)
@@ -450,9 +451,9 @@ def _row_blocks(
 
 
 def _scaled_fit(products: LaggedProducts) -> tuple[NoiseFit, LaggedProducts, float]:
-    """Fit under coloured noise, products of rows over the rms residual, and that residual.
+    """Fit under coloured noise, with products of rows scaled by the rms residual.
 
-    The rms residual is that of ordinary least squares.
+    The rms residual of ordinary least squares is returned, too.
 
     Args:
         products: Products of columns, torque and indicator of the unscaled rows.
@@ -479,7 +480,9 @@ def _scaled_fit(products: LaggedProducts) -> tuple[NoiseFit, LaggedProducts, flo
 
 
 def _squared_residual(products: Array, values: Array) -> float:
-    """Sum of squared residuals from products of columns and measurement, at least 0.
+    """Sum of squared residuals, computed from products of columns and measurement.
+
+    Negative values due to rounding become 0.
 
     Args:
         products: Products of columns and measurement, (q, q) at least.

@@ -40,15 +40,16 @@ MIN_P_VALUE = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class PayloadEstimate(Diagnosed, Gaussian):
-    """Estimate of a payload's ten inertial parameters in the frame of the carrying link.
+    """Estimate of a payload's ten inertial parameters in the carrying link's frame.
 
-    Order m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz (`STANDARD_NAMES`): mass, first moments, and
-    inertia about the frame's origin. A tool's frame is the force sensor's.
+    The order is m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz (`STANDARD_NAMES`): mass, first
+    moments, and inertia about the frame's origin. For a tool, the frame is that of the force
+    sensor.
 
     Attributes:
-        joint: Name of the joint that moves the link.
+        joint: Name of the joint that moves the carrying link.
         rank: Number of identifiable combinations of the ten parameters.
-        p_value: P-value of the chi-square test of the fit's residual: small if no payload explains
+        p_value: P-value of the chi-square test of the fit's residual; small if no payload explains
             the measured difference within its noise.
         diagnostics: Warnings about the estimate.
     """
@@ -64,10 +65,10 @@ class PayloadEstimate(Diagnosed, Gaussian):
 
     @property
     def centre(self) -> tuple[Array, Array] | None:
-        """Centre of mass in the link's frame and standard deviation, (3,) each [m].
+        """Centre of mass in the carrying link's frame with standard deviation, (3,) each [m].
 
-        Nan where not identifiable; None if the mass is not identifiable, or below 5 standard
-        deviations.
+        Components that are not identifiable are nan. The result is None if the mass is not
+        identifiable, or below 5 standard deviations.
         """
         if not self.identifiable[0] or self.values[0] < 5 * self.sigma[0]:
             return None
@@ -77,7 +78,7 @@ class PayloadEstimate(Diagnosed, Gaussian):
 def _centre(
     values: Array, covariance: Array, identifiable: ArrayLike
 ) -> tuple[Array, Array]:
-    """Centre of mass and standard deviation, (3,) each [m]; nan where not identifiable.
+    """Centre of mass with standard deviation, (3,) each [m]; nan where not identifiable.
 
     Args:
         values: Ten standard parameters, (10,).
@@ -96,7 +97,7 @@ def payload_influence(tree: Tree, minimal: MinimalSet, joint: str) -> Array:
 
     Args:
         tree: The robot.
-        minimal: Set of the p base parameters.
+        minimal: Minimal set with the p base parameters.
         joint: Name of the joint that moves the carrying link.
 
     Raises:
@@ -114,13 +115,14 @@ def payload(
 ) -> PayloadEstimate:
     """Estimate a payload from the difference of two estimates of base parameters.
 
-    Estimates by joint torques give the diagnostic "payload.scale".
+    For estimates from joint torques, the result has the diagnostic "payload.scale".
 
     Args:
         tree: The robot; only its geometry is used.
-        without: Estimate of the robot alone, by plate or joint torques. A scale error of the
-            torques is a scale error of the payload (see `torque_scales`).
-        loaded: Estimate of the robot with the payload, by the same signal, of the same parameters.
+        without: Estimate of the robot alone, from plate or joint torques. A scale error of the
+            torques becomes a scale error of the payload (see `torque_scales`).
+        loaded: Estimate of the robot with the payload, from the same signal and with the same
+            parameters.
         joint: Name of the joint that moves the carrying link; default the last.
 
     Raises:
@@ -162,16 +164,16 @@ def payload_from_influence(
     noise: Array,
     subject: str = "payload",
 ) -> PayloadEstimate:
-    """Ten standard parameters of a payload by generalised least squares.
+    """Estimate a payload's ten standard parameters by generalised least squares.
 
-    Unidentifiable combinations are zero (minimum-norm solution); the covariance is scaled by the
-    residual's chi-square where that exceeds its degrees of freedom.
+    Unidentifiable combinations are zero (minimum-norm solution). If the residual's chi-square
+    exceeds its degrees of freedom, the covariance is multiplied by their ratio.
 
     Args:
         joint: Name of the joint that moves the carrying link.
-        influence: Matrix from the parameters to the measured combinations, (p, 10), or (4, 10) for
-            a measured mass and first moments.
-        difference: Measured combinations: loaded minus unloaded base parameters, (p,).
+        influence: Matrix from the ten parameters to the measured combinations of parameters, (p,
+            10); (4, 10) if mass and first moments were measured.
+        difference: Measured combinations, (p,), such as `loaded - unloaded` base parameters.
         noise: Covariance of the measured combinations, (p, p).
         subject: Subject of the diagnostics: "payload" for two recordings, or "tool" for one.
     """
@@ -213,14 +215,14 @@ def payload_from_influence(
 def _diagnostics(
     joint: str, chance: float, mass: float, sigma: float, what: str
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of an unexplained difference and of a significantly negative mass.
+    """Yield diagnostics of an unexplained difference and of a significantly negative mass.
 
     Args:
         joint: Name of the joint that moves the carrying link.
-        chance: P-value of the residual; a diagnostic below `MIN_P_VALUE`.
-        mass: Estimated mass; a diagnostic below minus 5 standard deviations [kg].
+        chance: P-value of the residual; a diagnostic is given below `MIN_P_VALUE`.
+        mass: Estimated mass [kg]; a diagnostic is given below -5 standard deviations.
         sigma: Standard deviation of the mass [kg].
-        what: Prefix of the code: "payload" or "tool".
+        what: Prefix of the diagnostic's code: "payload" or "tool".
     """
     if chance < MIN_P_VALUE:
         yield make_diagnostic("payload.unexplained", joint, chance)

@@ -49,7 +49,7 @@ class StaticPoses:
     """Static poses: joint positions and force-sensor readings.
 
     Attributes:
-        position: Joint positions, (P, n) [rad or m].
+        position: Joint positions in P poses, (P, n) [rad or m].
         wrench: Readings of the force sensor, (P, 6) [N, N m].
         diagnostics: Diagnostics of repairs made while reading the file.
     """
@@ -68,12 +68,12 @@ class StaticFit:
 
     Attributes:
         unknowns: Zero offset of force, weight along base axes, zero offset of moment, centre of
-            mass along sensor axes, (12,) [N, N, N m, m].
+            mass along sensor axes, three components each, (12,) [N, N, N m, m].
         covariance: Covariance of the unknowns, (12, 12).
-        null_space_share: Share of each unknown in the null space of the Jacobian of the readings,
-            (12,): 0 identifiable, 1 without influence on the readings.
-        rms_residual: Rms residual of forces [N] and of moments [N m], (2,), reduced by the
-            unknowns' degrees of freedom; pooled for few poses.
+        null_space_share: Fraction of each unknown in the null space of the readings' Jacobian,
+            (12,): 0 if identifiable, 1 if without influence on the readings.
+        rms_residual: Rms residual of forces [N] and of moments [N m], (2,), corrected for the
+            degrees of freedom of the unknowns; pooled for few poses.
     """
 
     unknowns: Array
@@ -85,7 +85,7 @@ class StaticFit:
     def unidentifiable(self) -> tuple[str, ...]:
         """Names of the unknowns that the poses do not identify (`UNKNOWN_NAMES`).
 
-        Unidentifiable: the null-space share of one of the three components exceeds
+        These are unknowns with a component whose `null_space_share` exceeds
         `MAX_UNIDENTIFIED_SHARE`.
         """
         shares = zip(UNKNOWN_NAMES, self.null_space_share.reshape(4, 3), strict=True)
@@ -109,7 +109,7 @@ class StaticFit:
         return float(np.linalg.norm(self.centre))
 
     def mass(self, gravity: Array) -> float:
-        """Mass of the tool from its weight and the size of gravity [kg].
+        """Mass of the tool, its weight divided by the magnitude of gravity [kg].
 
         Args:
             gravity: Gravity, (3,) [m/s^2].
@@ -118,10 +118,10 @@ class StaticFit:
 
     @property
     def relative_residual(self) -> float:
-        """Rms residual over the tool's weight, the larger one of forces and moments.
+        """Ratio of rms residual to the tool's weight, the larger of forces and moments.
 
-        Moments are divided by the distance of the centre of mass from the sensor, at least
-        `MIN_LEVER`.
+        Moments are first divided by the distance of the centre of mass from the sensor, which is
+        taken as at least `MIN_LEVER`.
         """
         lever = max(self.arm, MIN_LEVER)
         return float(
@@ -130,7 +130,7 @@ class StaticFit:
         )
 
     def tilt(self, gravity: Array) -> tuple[float, float]:
-        """Angle between estimated weight and the model's gravity, and standard deviation [rad].
+        """Angle between estimated weight and the model's gravity, with standard deviation [rad].
 
         Args:
             gravity: Gravity of the model, (3,) [m/s^2].
@@ -151,13 +151,14 @@ class StaticFit:
 
 
 def fit_tool(tree: Tree, poses: StaticPoses, error_code: str = "") -> StaticFit:
-    """Fit a tool's weight to static poses, optionally with an assumed data error undone.
+    """Fit a tool's weight to static poses, after correction of an assumed data error.
 
     Args:
         tree: The robot from its base to the sensor.
         poses: Joint positions and readings.
-        error_code: Assumed error: "degrees" for joint angles in degrees instead of radians; a key
-            of `BASE_AXIS_SIGNS` for wrenches along base instead of sensor axes; "" for none.
+        error_code: Assumed error: "degrees" for joint angles in degrees instead of radians, a key
+            of `BASE_AXIS_SIGNS` for wrenches along base axes instead of sensor axes, or "" for
+            none.
     """
     position = np.deg2rad(poses.position) if error_code == "degrees" else poses.position
     rotations = sensor_poses(tree, position).inverse.R_AB
@@ -170,14 +171,14 @@ def fit_tool(tree: Tree, poses: StaticPoses, error_code: str = "") -> StaticFit:
 
 
 def fit_static_poses(rotations: Array, wrench: Array) -> StaticFit:
-    """Fit zero offsets, weight and centre of mass by iteratively weighted Gauss-Newton.
+    """Fit zero offsets, weight and centre of mass by iteratively reweighted Gauss-Newton.
 
-    Forces and moments are weighted by their residuals of the previous step; steps are minimum-norm
-    where the poses do not identify the unknowns. The covariance is inflated by Student's t for few
-    readings.
+    Forces and moments are weighted by their residuals in the previous iteration. Steps have minimum
+    norm where the poses do not identify the unknowns. For few readings, the covariance is inflated
+    according to Student's t distribution.
 
     Args:
-        rotations: Rotations from base axes to sensor axes, (P, 3, 3).
+        rotations: Rotations from base axes to sensor axes in P poses, (P, 3, 3).
         wrench: Readings of the force sensor, (P, 6) [N, N m].
     """
     unknowns, scale = np.zeros(UNKNOWNS), np.ones(2)
@@ -207,10 +208,10 @@ def fit_static_poses(rotations: Array, wrench: Array) -> StaticFit:
 def _linearised(
     rotations: Array, wrench: Array, unknowns: Array
 ) -> tuple[Array, Array]:
-    """Jacobian of all readings with respect to the unknowns, (6 P, 12), and residuals, (6 P,).
+    """Jacobian of the readings with respect to the unknowns, (6 P, 12), and residuals, (6 P,).
 
     Args:
-        rotations: Rotations from base axes to sensor axes, (P, 3, 3).
+        rotations: Rotations from base axes to sensor axes in P poses, (P, 3, 3).
         wrench: Readings, (P, 6) [N, N m].
         unknowns: Point of linearisation, (12,).
     """
@@ -230,14 +231,15 @@ def _linearised(
 
 
 def _noise_scales(residuals: Array) -> Array:
-    """Standard deviations of force and of moment noise from the residuals, (2,).
+    """Noise standard deviations of forces and moments, from the residuals, (2,).
 
-    Forces and moments account for half of the unknowns each. With fewer than `MIN_REDUNDANT_ROWS`
-    rows beyond these, both variances are drawn towards their mean, moments being divided by
-    `MOMENT_NOISE_RATIO`; else the signal that happens to fit better would gain ever more weight.
+    Half of the unknowns are attributed to forces, half to moments. With fewer than
+    `MIN_REDUNDANT_ROWS` rows beyond these, both variances are shrunk towards their mean, after
+    division of the moments by `MOMENT_NOISE_RATIO`. Otherwise the signal that happens to fit better
+    would receive more weight in every iteration.
 
     Args:
-        residuals: Residuals of all readings, (6 P,).
+        residuals: Residuals of all readings in P poses, (6 P,).
     """
     scaled = residuals.reshape(-1, 2, 3) / [[1.0], [MOMENT_NOISE_RATIO]]
     count = max(3 * len(scaled) - UNKNOWNS // 2, 1)

@@ -26,11 +26,11 @@ def tool_from_motion(tree: Tree, estimate: Estimate) -> PayloadEstimate:
     """Ten inertial parameters of the tool beyond a force sensor, in the sensor's frame.
 
     Args:
-        tree: The robot beyond the force sensor: one body.
-        estimate: Estimate by the force sensor, without known zeros.
+        tree: The robot beyond the force sensor, which is a single body.
+        estimate: Estimate from the force sensor, without known zeros.
 
     Raises:
-        SettingsError: The estimate is not by a force sensor, or joints lie beyond the sensor.
+        SettingsError: The estimate is not from a force sensor, or joints lie beyond the sensor.
     """
     sensor = _sensor_of_tool(tree)
     influence = payload_influence(
@@ -63,21 +63,23 @@ def _sensor_of_tool(tree: Tree) -> SensorPlacement:
 
 @dataclass(frozen=True, eq=False)
 class ToolEstimate(Diagnosed):
-    """Tool estimated from the weight in static poses: mass, centre of mass, sensor zeros.
+    """Estimate of a tool from static poses: mass, centre of mass, sensor zeros.
 
     Attributes:
-        mass: Mass and standard deviation [kg].
-        centre: Centre of mass in the sensor's frame and standard deviation, by axis [m].
-        force_zero: Zero offset of the sensor's force and standard deviation, by axis [N].
-        moment_zero: Zero offset of the sensor's moment and standard deviation, by axis [N m].
+        mass: Mass with standard deviation [kg].
+        centre: Centre of mass in the sensor's frame, with standard deviation, by axis [m].
+        force_zero: Zero offset of the sensor's force, with standard deviation, by axis [N].
+        moment_zero: Zero offset of the sensor's moment, with standard deviation, by axis [N m].
         gravity: Estimated unit direction of gravity in the robot's base frame.
-        tilt: Angle between estimated gravity and the model's gravity, and standard deviation [rad].
+        tilt: Angle between estimated gravity and the model's gravity, with standard deviation
+            [rad].
         residual: Rms residual of forces [N] and of moments [N m].
         pose_count: Number of poses.
-        unidentifiable: Names of unknowns that the poses do not identify; their values are
-            minimum-norm.
-        relative_residual: Rms residual over the tool's weight (`StaticFit.relative_residual`).
-        payload: Mass and first moments in the sensor's frame; None if some unknown is not
+        unidentifiable: Names of unknowns that the poses do not identify; their values are those of
+            the minimum-norm solution.
+        relative_residual: Ratio of rms residual to the tool's weight
+            (`StaticFit.relative_residual`).
+        payload: Mass and first moments in the sensor's frame; None if an unknown is not
             identifiable.
         diagnostics: Warnings about the poses and the fit.
     """
@@ -106,13 +108,14 @@ def tool_from_static_poses(
 ) -> ToolEstimate:
     """Estimate mass, centre of mass, sensor zeros and direction of gravity from static poses.
 
-    Diagnostics are those of the poses and of `diagnose_tool`.
+    The result has the diagnostics of the poses and of `diagnose_tool`.
 
     Args:
-        tree: The robot from its base to the sensor, with gravity of known size.
+        tree: The robot from its base to the sensor, with gravity of known magnitude.
         poses: Positions of the joints between base and sensor, and sensor readings.
-        sensor: Force sensor in its link's frame, whose z axis is the tool's direction for a sensor
-            within `MIN_SENSOR_OFFSET` of the last joint; default the tree's.
+        sensor: Placement of the force sensor in its link's frame; default that of the tree. Its z
+            axis is taken as the direction to the tool if the sensor is within `MIN_SENSOR_OFFSET`
+            of the last joint.
 
     Raises:
         SettingsError: The robot has no force sensor, joints lie beyond the sensor, or gravity is
@@ -158,11 +161,11 @@ def tool_from_static_poses(
 
 
 def _moments(fit: StaticFit, gravity: float) -> tuple[Array, Array]:
-    """Mass and first moments about the sensor's origin, (4,) [kg, kg m], and covariance, (4, 4).
+    """Mass and first moments about the sensor's origin, (4,), and covariance, (4, 4) [kg, kg m].
 
     Args:
         fit: Fit to the static poses.
-        gravity: Size of gravity [m/s^2].
+        gravity: Magnitude of gravity [m/s^2].
     """
     length = np.linalg.norm(fit.weight)
     values = length / gravity * np.array([1, *fit.centre])

@@ -59,17 +59,18 @@ force [m]."""
 def diagnose_tool(
     tree: Tree, poses: StaticPoses, fit: StaticFit, tool_direction: Array
 ) -> Iterator[Diagnostic]:
-    """Diagnose a tool identified in static poses: residuals, axes, signs, units, gravity.
+    """Yield diagnostics of a tool estimate: residuals, axes, signs, units, gravity.
 
-    A residual above `MAX_RESIDUAL_SHARE` is attributed to angles in degrees or wrenches along base
-    axes if the fit with that error undone has a residual below; else it gives "tool.residual", an
-    error above `ERROR_RESIDUAL_SHARE`. Unidentifiable unknowns give "tool.poses". Plausibility is
-    checked if the residual of forces is small.
+    A residual above `MAX_RESIDUAL_SHARE` is attributed to angles in degrees or to wrenches along
+    base axes if a fit with that error corrected has a residual below this limit. Otherwise the
+    diagnostic is "tool.residual", of level "error" above `ERROR_RESIDUAL_SHARE`. Unidentifiable
+    unknowns give "tool.poses". The plausibility of the estimate is checked if the residual of
+    forces is small.
 
     Args:
         tree: The robot from its base to the sensor.
         poses: Joint positions and readings.
-        fit: Fit to the data as stated.
+        fit: Fit to the poses without correction.
         tool_direction: Direction from the robot to the tool along the sensor axes, (3,).
     """
     if fit.relative_residual > MAX_RESIDUAL_SHARE and not fit.unidentifiable:
@@ -111,8 +112,8 @@ def diagnose_tool(
 def _is_behind_sensor(fit: StaticFit, ahead: Array) -> bool:
     """Test whether the centre of mass is significantly on the robot's side of the sensor.
 
-    Its distance exceeds `Z_THRESHOLD` standard deviations, and its angle to the tool's direction
-    120 degrees.
+    This is the case if its distance exceeds `Z_THRESHOLD` standard deviations and its angle to the
+    direction of the tool exceeds 120 degrees.
 
     Args:
         fit: Fit to static poses.
@@ -126,21 +127,22 @@ def _is_behind_sensor(fit: StaticFit, ahead: Array) -> bool:
 
 
 def _centre_sigma(fit: StaticFit) -> float:
-    """Standard deviation of the centre of mass, root of summed variances [m]."""
+    """Standard deviation of the centre of mass: root of the summed variances [m]."""
     return float(np.sqrt(np.trace(fit.covariance[9:, 9:])))
 
 
 def _plausibility_diagnostics(
     fit: StaticFit, gravity: Array, ahead: Array
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of implausible directions of gravity and positions of the centre of mass.
+    """Yield diagnostics of implausible directions of gravity and centres of mass.
 
-    Gravity tilted against the model: "tool.upwards" beyond 165 degrees, "tool.wall" within 5 of 90,
-    "tool.level" for any other tilt beyond 3 degrees and 5 sigma. Centre of mass: "tool.behind" on
-    the robot's side, "tool.reach" if too distant for the mass. Candidate causes, likeliest first.
+    The tilt is the angle between estimated gravity and the model's. A tilt above 165 degrees gives
+    "tool.upwards", a tilt within 5 degrees of 90 "tool.wall", and any other tilt above 3 degrees
+    and 5 sigma "tool.level". A centre of mass on the robot's side gives "tool.behind", and one too
+    far away for the mass "tool.reach". Possible causes are listed with the most likely first.
 
     Args:
-        fit: Fit to the data as stated.
+        fit: Fit to the poses without correction.
         gravity: Gravity of the model, (3,) [m/s^2].
         ahead: Direction from the robot to the tool along the sensor axes, (3,).
     """
@@ -188,14 +190,15 @@ def _plausibility_diagnostics(
 
 
 def _unit_systems(fit: StaticFit, mass: float) -> list[str]:
-    """Codes of unit systems with plausible sensor noise and centre of mass, likeliest first.
+    """Codes of plausible unit systems for the readings, most likely first.
 
-    Criterion: deviation (sum of absolute logarithms) of the ratio of moment to force residual and
-    of the centre's distance from `TYPICAL_LENGTHS`, at most 1 above the smallest; the density of
-    the tool must exceed `MIN_TOOL_DENSITY`. Empty if N and N m are the likeliest.
+    Each unit system gives two lengths: the ratio of moment to force residual, and the distance of
+    the centre of mass. Its deviation is the sum of the absolute logarithms of their ratios to
+    `TYPICAL_LENGTHS`. Plausible systems have a deviation at most 1 above the smallest, and a tool
+    density above `MIN_TOOL_DENSITY`. The result is empty if N and N m are most likely.
 
     Args:
-        fit: Fit to the data as stated.
+        fit: Fit to the poses without correction.
         mass: Mass of the tool if forces are in N [kg].
     """
     lengths = np.array([fit.rms_residual[1] / fit.rms_residual[0], fit.arm])
@@ -213,5 +216,5 @@ def _unit_systems(fit: StaticFit, mass: float) -> list[str]:
 
 
 def _comma_separated(values: Array) -> str:
-    """Numbers as comma-separated text, rounded to four decimals."""
+    """Comma-separated text of numbers, rounded to four decimals."""
     return ",".join(f"{round(float(x), 4) + 0.0:g}" for x in values)

@@ -53,7 +53,9 @@ MASS_NAME = "payload/mass"
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class TorqueScales(Gaussian):
-    """Reported over true torque of each joint, by which reported torques are divided.
+    """Ratios of reported to true torque for each joint, with uncertainty.
+
+    Reported torques are divided by these scales.
 
     Attributes:
         known: Value and standard deviation of the payload's known parameters, by name.
@@ -63,9 +65,9 @@ class TorqueScales(Gaussian):
 
 
 class _LinearRecording(NamedTuple):
-    """Normal equations of a recording whose unknowns are lead @ v + fixed.
+    """Normal equations of a recording whose p unknowns are `lead @ v + fixed`.
 
-    The m common unknowns v are those of both recordings together (`_linear_recording`).
+    The vector v has m elements, the common unknowns of both recordings (`_linear_recording`).
 
     Attributes:
         passes: Passes over the recording's regressor rows.
@@ -80,7 +82,7 @@ class _LinearRecording(NamedTuple):
     fixed: Array
 
     def weights(self, x: Array, scales: Array) -> Array:
-        """Inverse mean square residual of each channel, (n,).
+        """Reciprocal mean square residual of each channel, (n,).
 
         Args:
             x: Unknowns of the recording, (p,).
@@ -112,26 +114,26 @@ def torque_scales(
 ) -> TorqueScales:
     """Estimate scales of joint torques from recordings without and with a known payload.
 
-    Joint terms that are chosen from the data are chosen on the unloaded recording. The standard
-    deviation of the mass is a common relative error of all scales.
+    If joint terms are selected from the data, the recording without payload is used. The standard
+    deviation of the mass is included as a common relative error of all scales.
 
     Args:
         tree: The robot without the payload; its inertias are not used.
         unloaded: Recording without the payload, as for `identify`; with torques.
         loaded: Recording with the payload, along any other motion.
-        known: "payload/mass": value, or value and standard deviation [kg].
+        known: Value, or value and standard deviation, of "payload/mass" [kg].
         joint: Name of the joint that moves the carrying link; default the last.
         gravity: Gravity, (3,) [m/s^2], bedplate frame; default as for `identify`.
-        settings: Signal processing, and joint terms, whose coefficients are estimated for each
-            recording separately; nuisances and known values are ignored.
+        settings: Signal processing, and joint terms, whose coefficients are estimated separately
+            for each recording; sensor-error terms (nuisances) and known values are ignored.
         threads: Number of threads; default one per processor.
         progress: Called with the numbers of processed samples and of all samples.
 
     Raises:
         RecordingError: A recording cannot be used.
-        SettingsError: The mass is not known, or does not determine the scale; or the settings have
-            zeros.
-        UnknownName: Another quantity than the mass is given, or the robot has no such joint.
+        SettingsError: The mass is not given or does not determine the scale, or the settings have
+            known zeros.
+        UnknownName: A quantity other than the mass is given, or the robot has no such joint.
     """
     known_values = values_with_sigmas(known)
     for name in known_values.keys() - {MASS_NAME}:
@@ -180,20 +182,20 @@ def torque_scales(
 def _linear_recording(
     problem: Problem, joint: str, mass: float, number: int
 ) -> _LinearRecording:
-    """Normal equations of a recording in the common unknowns v.
+    """Express the normal equations of a recording in the common unknowns v.
 
     v contains the base parameters, the joint terms of both recordings, and the identifiable
-    combinations of the payload's other parameters.
+    combinations of the payload's parameters other than its mass.
 
     Args:
-        problem: Problem of the recording.
+        problem: Identification problem of the recording.
         joint: Name of the joint that moves the carrying link.
         mass: Known mass of the payload [kg].
-        number: 0 for the recording without the payload, 1 with it.
+        number: 0 for the recording without the payload, 1 for the recording with it.
 
     Raises:
-        SettingsError: The effect of the mass on the torques is collinear with that of the payload's
-            other parameters.
+        SettingsError: The effect of the mass on the torques is collinear with the effect of the
+            payload's other parameters.
     """
     minimal = problem.minimal
     influence = payload_influence(problem.tree, minimal, joint)
@@ -228,9 +230,9 @@ def _linear_recording(
 
 
 def _gauss_newton(recordings: Sequence[_LinearRecording]) -> tuple[Array, Array]:
-    """Torque scales, (n,), and common unknowns v, (m,), by `ITERATIONS` steps of Gauss-Newton.
+    """Torque scales, (n,), and common unknowns v, (m,), by Gauss-Newton iteration.
 
-    The first step solves for v alone, with scales of one.
+    The first of `ITERATIONS` steps solves for v alone, with scales of 1.
     """
     n, m = len(recordings[0].equations.channels), recordings[0].lead.shape[1]
     unknowns = np.append(np.ones(n), np.zeros(m))
@@ -246,13 +248,13 @@ def _gauss_newton(recordings: Sequence[_LinearRecording]) -> tuple[Array, Array]
 def _normal_equations(
     recordings: Sequence[_LinearRecording], scales: Array, v: Array
 ) -> tuple[Array, Array]:
-    """Normal matrix J' W J, (n + m, n + m), and vector J' W r of the linearised problem.
+    """Normal matrix J' W J, (n + m, n + m), and vector J' W r, (n + m,).
 
-    J is the Jacobian with respect to scales and v, r the residual; W weights each channel by its
-    inverse mean square residual.
+    J is the Jacobian of the linearised problem with respect to the n scales and the m elements of
+    v, and r is the residual. W weights each channel by its reciprocal mean square residual.
 
     Args:
-        recordings: Both recordings.
+        recordings: The recordings without and with the payload.
         scales: Torque scales, (n,).
         v: Common unknowns, (m,).
     """
@@ -277,11 +279,12 @@ def _covariance(
 ) -> Array:
     """Covariance of the torque scales, (n, n), under coloured noise.
 
-    Generalised least squares on the linearised rows of both recordings, with autoregressive noise;
-    enlarged by the factor that simulated replicas of the noise give (parametric bootstrap).
+    It is that of generalised least squares on the linearised rows of both recordings with
+    autoregressive noise. It is enlarged by a factor determined from simulated replicas of the noise
+    (parametric bootstrap).
 
     Args:
-        recordings: Both recordings.
+        recordings: The recordings without and with the payload.
         scales: Torque scales, (n,).
         v: Common unknowns, (m,).
     """
@@ -304,10 +307,10 @@ def _covariance(
 def _weighted_jacobian(
     recording: _LinearRecording, scales: Array, v: Array
 ) -> Iterator[Array]:
-    """Yield Jacobian and residuals in units of noise, and indicators of counted rows.
+    """Yield blocks of the Jacobian and residuals, in units of noise.
 
-    Blocks of k rows, (C, k, n + m + 2): columns of the n scales, of the m unknowns v, residual,
-    indicator; for each of the C channels.
+    Blocks have k rows for each of the C channels, (C, k, n + m + 2). The columns are the n scales,
+    the m elements of v, the residual, and an indicator that is 1 for rows in use.
 
     Args:
         recording: One of the two recordings.

@@ -49,10 +49,10 @@ class FlangePayload:
     Attributes:
         frame: Name of the flange's link.
         inertia: Mass, centre of mass and inertia about the centre of mass, in the flange's frame;
-            the inertia is arbitrary if not identifiable.
+            the inertia has no meaning if it is not identifiable.
         sigma: Standard deviations of mass, centre, and inertia about the centre of mass in the
-            order `INERTIA_INDICES`, (10,) [kg, m, kg m^2]; of mass and centre alone, (4,), if the
-            inertia is not identifiable.
+            order `INERTIA_INDICES`, (10,) [kg, m, kg m^2]. If the inertia is not identifiable,
+            those of mass and centre only, (4,).
     """
 
     frame: str
@@ -61,9 +61,9 @@ class FlangePayload:
 
     @property
     def inertia_components(self) -> list[float]:
-        """Inertia about the centre of mass: Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2].
+        """Inertia components Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass [kg m^2].
 
-        Empty if the inertia is not identifiable.
+        The list is empty if the inertia is not identifiable.
         """
         return [
             float(self.inertia.central[index])
@@ -71,7 +71,7 @@ class FlangePayload:
         ]
 
     def comment(self, mark: str) -> list[str]:
-        """Comment lines with the frame and the standard deviations, for a controller's program.
+        """Comment lines with frame and standard deviations, for a robot controller's program.
 
         Args:
             mark: Prefix of a comment line.
@@ -94,19 +94,19 @@ class FlangePayload:
 def flange_payload(
     estimate: PayloadEstimate, tree: Tree, link: ModelLink | None = None
 ) -> FlangePayload:
-    """Transform the estimate of a payload or tool to a flange's frame.
+    """Transform the estimate of a payload or tool to the frame of a flange.
 
-    Only mass and centre of mass are transformed if no component of the inertia is identifiable.
+    If no component of the inertia is identifiable, only mass and centre of mass are transformed.
 
     Args:
-        estimate: Estimate in the frame of the link that its joint moves; for a tool in the sensor's
-            frame.
-        tree: The robot; for a tool the part beyond the force sensor.
+        estimate: Estimate in the frame of the link that its joint moves, or, for a tool, in the
+            frame of the sensor.
+        tree: The robot; for a tool, the links beyond the force sensor.
         link: Flange, fixed to the link that the joint moves; None for the frame of the estimate.
 
     Raises:
-        SettingsError: Mass, centre or a part of the inertia is not identifiable, the body is not
-            physical, or the flange is on another link.
+        SettingsError: Mass, centre, or some component of the inertia is not identifiable, the
+            parameters are not those of a physical body, or the flange is on another link.
     """
     count = 10 if any(estimate.identifiable[4:]) else 4
     identifiable = np.array(estimate.identifiable)
@@ -159,12 +159,12 @@ def flange_payload(
 
 
 def _check_inertia(estimate: PayloadEstimate, inertia: Inertia, *, whole: bool) -> None:
-    """Raise SettingsError if no physical body has the mass and inertia.
+    """Raise SettingsError if no physical body has these inertial parameters.
 
     Args:
-        estimate: Estimate, for the likely cause.
+        estimate: Estimate, from which the message derives the likely cause.
         inertia: Inertia in the flange's frame.
-        whole: True to check the inertia, not only the mass.
+        whole: True to check mass and inertia, False for the mass only.
     """
     flaw = inertia_flaw(
         "payload", inertia.mass, inertia.central if whole else np.eye(3)
@@ -182,9 +182,10 @@ def _check_inertia(estimate: PayloadEstimate, inertia: Inertia, *, whole: bool) 
 
 
 def universal_robots(load: FlangePayload) -> str:
-    """URScript call of `set_target_payload`, after comment lines.
+    """URScript call of `set_target_payload`, preceded by comment lines.
 
-    Arguments: mass [kg], centre [m], inertia about the centre of mass [kg m^2], if identifiable.
+    The arguments are mass [kg], centre of mass [m], and inertia about the centre of mass [kg m^2]
+    if identifiable.
     """
     arguments = [
         load.inertia.mass,
@@ -197,9 +198,10 @@ def universal_robots(load: FlangePayload) -> str:
 
 
 def franka(load: FlangePayload) -> str:
-    """JSON object with the arguments of `setLoad`: "mass", "centerOfMass", "comment", "inertia".
+    """JSON object with the arguments of `setLoad`.
 
-    The inertia about the centre of mass is column-major, and absent if not identifiable.
+    The keys are "mass", "centerOfMass", "comment" and "inertia". The inertia about the centre of
+    mass is in column-major order, and absent if not identifiable.
     """
     inertia = load.inertia
     fields = {
@@ -213,10 +215,11 @@ def franka(load: FlangePayload) -> str:
 
 
 def kuka(load: FlangePayload) -> str:
-    """KRL assignment of LOAD_DATA of tool 1, after comment lines.
+    """KRL assignment to LOAD_DATA of tool 1, preceded by comment lines.
 
-    M mass [kg]; CM centre [mm] and orientation A, B, C of the principal axes [degrees]; J principal
-    moments [kg m^2], ascending. If the inertia is not identifiable, J is absent.
+    The fields are the mass M [kg], the frame CM with the centre of mass [mm] and the orientation A,
+    B, C of the principal axes [degrees], and the principal moments J [kg m^2] in ascending order. J
+    is absent if the inertia is not identifiable.
     """
     moments, axes = np.linalg.eigh(
         load.inertia.central if load.inertia_components else np.eye(3)
@@ -230,7 +233,7 @@ def kuka(load: FlangePayload) -> str:
 
 
 def _krl_fields(names: str, values: Sequence[float] | Array) -> str:
-    """Names and values as fields of a KRL structure: "X 1.0,Y 2.0"."""
+    """Text of KRL structure fields from names and values: "X 1.0,Y 2.0"."""
     return ",".join(
         f"{name} {float(x)!r}" for name, x in zip(names, values, strict=True)
     )

@@ -1,4 +1,4 @@
-"""Physically consistent bodies by estimates and a model file as prior."""
+"""Physically consistent bodies from estimates, with a model file as prior."""
 
 from __future__ import annotations
 
@@ -60,16 +60,17 @@ MIN_EIGENVALUE = 1e-2
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Reconciliation(Gaussian):
-    """Parameters of one estimate by the consistent bodies; sigma includes the prior's uncertainty.
+    """Parameters of one estimate, computed from the consistent bodies.
+
+    The property `sigma` includes the uncertainty of the prior.
 
     Attributes:
         method: Method of the estimate.
-        plain: Values of the estimate, (p,).
-        plain_sigma: Standard deviations of the estimate, (p,), widened by a contradiction with
-            another estimate.
-        widened: Factor of this widening.
+        plain: Values of the estimate itself, (p,).
+        plain_sigma: Standard deviations of the estimate itself, (p,), multiplied by `widened`.
+        widened: Factor, at least one, for a contradiction with another estimate.
         distance: Norm of the whitened differences between estimate and consistent bodies [sigma];
-            about the root of p where the difference is noise only.
+            about sqrt(p) if the differences are only noise.
     """
 
     method: Signal
@@ -87,7 +88,7 @@ class Reconciliation(Gaussian):
 
     @property
     def sigmas(self) -> Array:
-        """Changes of the parameters in standard deviations of the estimate, (p,)."""
+        """Differences from the estimate, in standard deviations of the estimate, (p,)."""
         gap = self.values - self.plain
         return gap / np.maximum(self.plain_sigma, SMALLEST_POSITIVE)
 
@@ -98,22 +99,23 @@ class Consistent(Diagnosed):
 
     Attributes:
         joints: Names of the joints, (n,).
-        places: Names of the joints, and of shafts that turn with several joints: places of terms.
+        places: Names that the indices of joint terms refer to: the joints, then the shafts that
+            turn with several joints.
         links: Names of the bodies, (n,).
         standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz about and along the body
             frames, (n, 10) [kg, kg m, kg m^2].
-        sigma: Standard deviations by data and prior together, (n, 10).
-        data_share: Share of the prior variance that the data remove, (n, 10): 1 for parameters that
-            the data identify, 0 for parameters by the prior or known masses.
+        sigma: Posterior standard deviations of `standard`, (n, 10).
+        data_share: Fraction of the prior variance that the data remove, (n, 10): 1 for parameters
+            that the data identify, 0 for parameters that the prior or known masses determine.
         prior: Standard parameters of the prior bodies, (n, 10).
         terms: Joint torque terms, (t,).
         coefficients: Coefficients of the terms, (t,).
         coefficient_sigma: Standard deviations of the coefficients, (t,).
         bent: Comparison of each estimate with the consistent bodies.
-        eigenvalues: Eigenvalues of every pseudo-inertia, ascending, (n, 4), in units of the body's
-            radius of gyration and mass; zero for bodies without matter.
-        binding: Texts of the active constraints.
-        unsettled: Newton decrement at the end [sigma]: far below one after convergence.
+        eigenvalues: Eigenvalues of each pseudo-inertia, ascending, (n, 4), with the body's radius
+            of gyration and mass as units; zero for massless bodies.
+        binding: Descriptions of the active constraints.
+        unsettled: Newton decrement at the end [sigma]; far below one after convergence.
         prior_error: Relative error of the prior bodies.
         diagnostics: Diagnostics of prior, estimates and solution.
     """
@@ -148,15 +150,15 @@ def consistent(
     prior: PriorBodies,
     options: ConsistencyOptions | None = None,
 ) -> Consistent:
-    """Physically consistent bodies that fit estimates and are near the model file's otherwise.
+    """Physically consistent bodies that fit estimates and otherwise stay near the model file.
 
-    They minimise half the squared whitened residuals of the estimates plus 1 / prior_error^2 times
-    a log-determinant divergence of the pseudo-inertias from the file's; friction and rotor inertias
-    are not negative. Sigmas are by the Laplace approximation.
+    They minimise half the sum of the estimates' squared whitened residuals plus 1 / prior_error^2
+    times a log-determinant divergence from the pseudo-inertias in the file, with non-negative
+    friction and rotor inertias. Standard deviations follow from the Laplace approximation.
 
     Args:
         tree: Robot; its inertias are not used.
-        estimates: Estimates of one recording, one a method, with independent errors.
+        estimates: Estimates from one recording, one per method, with independent errors.
         prior: Prior bodies.
         options: Options; None for `ConsistencyOptions()`.
 
@@ -210,7 +212,7 @@ def consistency_program(
     prior: PriorBodies,
     options: ConsistencyOptions,
 ) -> tuple[list[Estimate], list[Likelihood], NonlinearProgram]:
-    """Estimates with a valid covariance, their likelihoods, and the program of the bodies.
+    """Estimates with a valid covariance, their likelihoods, and the nonlinear program.
 
     Arguments and errors are those of `consistent`.
     """
@@ -231,7 +233,7 @@ def _estimates_with_covariance(estimates: Sequence[Estimate]) -> list[Estimate]:
     """Estimates with a positive semidefinite covariance.
 
     Raises:
-        RecordingError: No estimate has such a covariance.
+        RecordingError: No estimate has a valid covariance.
     """
     used = [each for each in estimates if has_valid_covariance(each)]
     if not used:
@@ -245,7 +247,8 @@ def _estimates_with_covariance(estimates: Sequence[Estimate]) -> list[Estimate]:
 def robot_of(bodies: Consistent, tree: Tree) -> Tree:
     """Robot with the consistent bodies, friction and rotor inertias.
 
-    Terms without a field in the tree's joints are left out; negative coefficients become zero.
+    Joint terms for which the tree's joints have no field are left out; negative coefficients become
+    zero.
 
     Args:
         bodies: Consistent bodies of the robot.
@@ -263,9 +266,9 @@ def robot_of(bodies: Consistent, tree: Tree) -> Tree:
 def laplace_covariance(
     program: NonlinearProgram, z: Array, weight: float
 ) -> tuple[Array, Array]:
-    """Covariance of x, (m, m), and share of each prior variance removed by the data, (m,).
+    """Covariance of x, (m, m), and fraction of each prior variance that the data remove, (m,).
 
-    The Laplace approximation at z, within the exact constraints.
+    The covariance is the Laplace approximation at z, within the exact constraints.
 
     Args:
         program: Program of consistent bodies; x are standard parameters, then joint terms.
@@ -332,7 +335,7 @@ def _reconciliation(
 def _scaled_eigenvalues(body: Array) -> Array:
     """Dimensionless eigenvalues of a body's pseudo-inertia, ascending, (4,).
 
-    In units of the mass and the radius of gyration; zero for a body without matter.
+    The units are the body's mass and radius of gyration. The result is zero for a massless body.
 
     Args:
         body: Standard parameters, (10,).
@@ -354,9 +357,10 @@ def _scaled_eigenvalues(body: Array) -> Array:
 def _active_constraints(
     tree: Tree, program: NonlinearProgram, terms: Sequence[JointTerm], z: Array
 ) -> Iterator[str]:
-    """Yield texts of nearly singular bodies and of joint terms at zero.
+    """Yield descriptions of nearly singular bodies and of joint terms at zero.
 
-    Nearly singular: Y, the pseudo-inertia relative to the file's, has an eigenvalue below 0.01.
+    A body is nearly singular if Y, its pseudo-inertia relative to that in the file, has an
+    eigenvalue below 0.01.
 
     Args:
         tree: Robot.
@@ -383,9 +387,9 @@ def _diagnostics(
 ) -> Iterator[Diagnostic]:
     """Diagnostics of the prior, the estimates and the solution.
 
-    Estimates without a valid covariance; rotor inertias of the file that torques attribute to the
-    bodies; a Newton decrement over 0.1; sigmas widened by over 3; distance, negative terms, and
-    terms without a field in model files.
+    Reported are estimates without a valid covariance; rotor inertias of the file that a torque
+    estimate attributes to the bodies; a Newton decrement over 0.1; sigmas widened by a factor over
+    3; estimates far from the bodies; negative terms; and terms without a field in model files.
 
     Args:
         prior: Prior bodies.
@@ -430,10 +434,10 @@ def _diagnostics(
 def _distance_diagnostics(
     estimate: Estimate, reconciliation: Reconciliation
 ) -> Iterator[Diagnostic]:
-    """Diagnostic of an estimate that is significantly far from the consistent bodies.
+    """Diagnostic of an estimate that differs significantly from the consistent bodies.
 
-    The distance is above the chi distribution's 0.9973 quantile (3 sigma, two-sided). The code is
-    "bodies.impossible" where no rigid bodies at all are near the estimate, else "bodies.far".
+    The distance exceeds the 0.9973 quantile of the chi distribution (3 sigma, two-sided). The code
+    is "bodies.impossible" if no rigid bodies at all are near the estimate, otherwise "bodies.far".
 
     Args:
         estimate: Estimate.

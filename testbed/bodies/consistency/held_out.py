@@ -29,13 +29,13 @@ from testbed.core.parameters.rules import Signal
 def with_estimated_prior_error(
     options: ConsistencyOptions, posteriors: Iterable[Posterior]
 ) -> ConsistencyOptions:
-    """Options with the smallest model-file error of the posteriors that need their prior.
+    """Options with the smallest prior error of the posteriors that need a prior.
 
-    Unchanged without such posteriors.
+    The options are unchanged if no posterior needs a prior (`Posterior.used`).
 
     Args:
         options: Options of consistent bodies.
-        posteriors: Posteriors of one recording.
+        posteriors: Posteriors from one recording.
     """
     errors = [each.prior_error for each in posteriors if each.used]
     return replace(options, prior_error=min(errors, default=options.prior_error))
@@ -51,15 +51,16 @@ def with_consistent_predictions(
 ) -> dict[Signal, Posterior]:
     """Add the values and held-out prediction errors of consistent bodies to posteriors.
 
-    For held-out parts, consistent bodies are computed from the data of one method only; where that
-    fails, the values of the model file are used.
+    For each held-out part, the consistent bodies are computed from the training data of one method
+    only; if that fails, the values of the model file are used.
 
     Args:
-        posteriors: Posteriors by method.
-        bodies: Consistent bodies of the whole recording.
-        rows: Products of the recording's rows, by method.
+        posteriors: Posteriors, keyed by method.
+        bodies: Consistent bodies from the whole recording.
+        rows: Gram matrices of the recording's rows, keyed by method.
         prior: Bodies of the model file.
-        estimates: Least-squares estimates by method; a posterior without one is unchanged.
+        estimates: Least-squares estimates, keyed by method; a posterior without an estimate is
+            unchanged.
         options: Options of the consistent bodies.
     """
 
@@ -105,7 +106,7 @@ def with_consistent_predictions(
 
 
 def consistent_unknowns(bodies: Consistent, problem: Problem) -> Array:
-    """Unknowns of a problem for consistent bodies and their joint terms, (p,).
+    """Values of a problem's unknowns for given consistent bodies and joint terms, (p,).
 
     Args:
         bodies: Consistent bodies of the problem's robot.

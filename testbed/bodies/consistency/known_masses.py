@@ -18,13 +18,13 @@ TOTAL_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class KnownMasses:
-    """Known masses of sums of bodies.
+    """Known total masses of groups of bodies.
 
     Attributes:
-        rows: 1 for the bodies of each sum, else 0, (k, n).
-        values: Masses of the sums, (k,) [kg].
+        rows: 1 for the bodies in each of the k groups, else 0, (k, n).
+        values: Total masses of the groups, (k,) [kg].
         sigma: Standard deviations of the masses, (k,) [kg]; 0 for exact masses.
-        prior_factors: Factors on the prior's bodies that give the exactly known masses, (n,).
+        prior_factors: Factors on the prior bodies that give the exactly known masses, (n,).
     """
 
     rows: Array
@@ -45,7 +45,8 @@ def known_masses(
 
     Raises:
         UnknownName: A link does not exist.
-        SettingsError: A link without matter has a known mass, or exact masses contradict the total.
+        SettingsError: A link that is massless in the model file has a known mass, or exact masses
+            contradict the total.
     """
     links = [joint.body for joint in tree.joints]
     massive = prior.standard[:, 0] > 0
@@ -72,14 +73,15 @@ def _prior_factors(
     values: Array,
     sigma: Array,
 ) -> Array:
-    """Factors on the prior's bodies that give the exactly known masses, (n,).
+    """Factors on the prior bodies that give the exactly known masses, (n,).
 
-    With an exact total, the other bodies share the remaining mass in proportion to the prior.
+    If the total mass is known exactly, the bodies without exactly known masses share the remaining
+    mass in proportion to their prior masses.
 
     Args:
         prior: Prior bodies.
         options: Options with the known masses.
-        rows: 1 for the bodies of each known sum, else 0, (k, n).
+        rows: 1 for the bodies in each of the k groups with a known mass, else 0, (k, n).
         values: Known masses, (k,) [kg].
         sigma: Standard deviations of the masses, (k,) [kg].
 

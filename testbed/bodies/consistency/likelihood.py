@@ -39,14 +39,17 @@ EIGENVALUE_TOLERANCE = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """Gaussian likelihood of x by one estimate; x: standard parameters, then joint terms.
+    """Gaussian likelihood of x from one estimate.
+
+    The vector x consists of the standard parameters, then the joint terms.
 
     Attributes:
         estimate: Estimate.
-        rows: Coefficients of the estimate's parameters on x, (p, m).
+        rows: Matrix from the m entries of x to the p parameters of the estimate, (p, m).
         whitening: Whitening matrix of the estimate's errors, (p, p).
-        zero_rows: Coefficients of combinations of x that the estimate assumes to be zero, (k, m).
-        sigma_factor: Factor on the estimate's sigmas because of a contradiction with another
+        zero_rows: Matrix from x to the k linear combinations that the estimate assumes to be zero,
+            (k, m).
+        sigma_factor: Factor on the estimate's sigmas that accounts for a contradiction with another
             estimate.
     """
 
@@ -94,10 +97,10 @@ def joint_terms_of(estimates: Sequence[Estimate]) -> tuple[JointTerm, ...]:
 def likelihood_of(
     tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]
 ) -> Likelihood:
-    """Gaussian likelihood of standard parameters and joint terms by an estimate.
+    """Gaussian likelihood of standard parameters and joint terms from an estimate.
 
-    The variances are increased by the square of 1e-7 times a parameter's magnitude, or of ten times
-    the magnitude of unidentifiable parameters.
+    The variance of each parameter is increased by the square of 1e-7 times its magnitude, or of ten
+    times its magnitude if the parameter is not identifiable.
 
     Args:
         tree: Robot; its inertias are not used.
@@ -127,14 +130,15 @@ def likelihood_of(
 
 
 def with_widened_torques(likelihoods: Sequence[Likelihood]) -> list[Likelihood]:
-    """Likelihoods with the sigmas of joint torques widened by their contradiction to the plate.
+    """Likelihoods with the sigmas of joint torques widened for contradictions with the plate.
 
     Errors of torque constants and of the friction law bias the bodies that torques identify, but
-    are not part of their sigmas. The factor is the rms normalised difference of the parameters that
-    both methods determine, at least one; with one method nothing changes.
+    the sigmas of the torque estimate do not include this bias. The sigmas are therefore multiplied
+    by the rms normalised difference of the parameters that both methods determine, if it exceeds
+    one. The likelihood of a single method is unchanged.
 
     Args:
-        likelihoods: Likelihoods by one method or by both.
+        likelihoods: Likelihoods from one method or from both methods.
     """
     by_method = {each.estimate.method: each for each in likelihoods}
     if len(by_method) < len(SIGNALS):
@@ -154,12 +158,12 @@ def with_widened_torques(likelihoods: Sequence[Likelihood]) -> list[Likelihood]:
 def _rms_difference(plate: Estimate, torques: Estimate) -> float:
     """Rms normalised difference of parameters that both methods determine; at least one.
 
-    Parameters with a rotor inertia are left out. One if the plate does not determine the parameters
-    of the torques, because of other known zeros or an unknown tare.
+    Parameters that contain a rotor inertia are left out. The result is one if the plate does not
+    determine the parameters of the torques, because the known zeros differ or the tare is unknown.
 
     Args:
-        plate: Estimate by the force plate.
-        torques: Estimate by joint torques.
+        plate: Estimate from the force plate.
+        torques: Estimate from joint torques.
     """
     try:
         torque_selection = selection(torques.minimal, plate.minimal)
@@ -196,7 +200,7 @@ def _rms_difference(plate: Estimate, torques: Estimate) -> float:
 
 
 def _estimate_and_zero_rows(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
-    """Coefficients of estimated and of assumed-zero parameters on barycentric parameters and terms.
+    """Coefficients of estimated and assumed-zero parameters in the barycentric parameters.
 
     With known zeros, the minimal parameters are combinations of fewer barycentric parameters than
     the forces identify. The full minimal parameters are a linear map of the estimated parameters;
@@ -207,8 +211,9 @@ def _estimate_and_zero_rows(tree: Tree, estimate: Estimate) -> tuple[Array, Arra
         estimate: Estimate of either method.
 
     Returns:
-        Coefficients of the estimate's parameters, (p, 10 n + terms), and of the assumed zeros,
-        (k, 10 n + terms); k is 0 without known zeros.
+        Coefficients of the p estimated parameters, (p, 10 n + terms), and of the k combinations
+        that are assumed to be zero, (k, 10 n + terms), in the 10 n barycentric parameters and the
+        joint terms; k is 0 without known zeros.
     """
     minimal, drives = estimate.minimal, estimate.drives
     estimate_rows = minimal.matrix if drives is None else drives.matrix

@@ -22,7 +22,7 @@ TOTAL_MASS = "mass"
 class ConsistencyOptions(ValidatedValue):
     """Options of physically consistent bodies: error of the model file and known masses.
 
-    Plain values only: the table [consistent] of an experiment file has the same keys.
+    All values are plain, so that the table [consistent] of an experiment file has the same keys.
     """
 
     prior_error: Annotated[float, PositiveNumber, "a positive part of one"] = 0.5
@@ -46,5 +46,5 @@ class ConsistencyOptions(ValidatedValue):
 
     @property
     def masses(self) -> dict[str, tuple[float, float]]:
-        """Known masses and standard deviations, by name [kg]."""
+        """Known masses and standard deviations [kg], keyed by name."""
         return values_with_sigmas(self.known)

@@ -48,21 +48,24 @@ ZERO_SIGMA = 1e-4
 class NonlinearProgram:
     """Nonlinear program in scaled unknowns z for consistent bodies.
 
-    z contains ten coordinates of Y for each body with matter, J = U Y U' with the pseudo-inertia
-    U U' of the file, then the joint terms relative to their scales; x = x_from_z z. Objective:
-    |rows z - right_hand_side|^2 / 2 + w D(Y) + w |z - 1|^2 / 2, the last sum over the joint terms
-    in the model file, with D(Y) = tr Y - log det Y - 4 of every body, under the constraints.
+    The m unknowns z are ten coordinates of a matrix Y for each body with mass, then the t joint
+    terms divided by their scales. The pseudo-inertia of a body is J = U Y U', where U U' is the
+    pseudo-inertia in the file; x = x_from_z z. The objective is |rows z - right_hand_side|^2 / 2 +
+    w D(Y) + w |z - 1|^2 / 2 with the weight w of the prior. D(Y) is the sum of tr Y - log det Y - 4
+    over the bodies; the last norm includes only the joint terms in the model file. The constraints
+    are positive definite Y, non-negative joint terms, and exact linear constraints.
 
     Attributes:
         prior: Prior bodies.
         x_from_z: Matrix from z to standard parameters and joint terms x, (10 n + t, m).
-        rows: Whitened equations: of the data first, then of known masses and zeros, (k, m).
+        rows: Coefficients of the k whitened equations: those of the data, then those of known
+            masses and assumed zeros, (k, m).
         right_hand_side: Right-hand side of the equations, (k,).
         data_row_count: Number of equations of the data.
         has_prior: 1 for joint terms in the model file, which have a prior, else 0, (t,).
         nonnegative_indices: Indices in z of joint terms that cannot be negative.
-        constraint_rows: Rows of exact linear constraints on z, (e, m).
-        start: Starting point z that obeys the exact constraints, (m,).
+        constraint_rows: Rows of the e exact linear constraints on z, (e, m).
+        start: Starting point z that satisfies the exact constraints, (m,).
     """
 
     prior: PriorBodies
@@ -77,7 +80,7 @@ class NonlinearProgram:
 
     @property
     def body_count(self) -> int:
-        """Number of bodies with matter."""
+        """Number of bodies with mass."""
         return len(self.prior.massive_bodies)
 
     @cached_property
@@ -91,11 +94,11 @@ class NonlinearProgram:
 
     @cached_property
     def normal_matrix(self) -> Array:
-        """Normal matrix rows' rows of the equations, (m, m)."""
+        """Normal matrix of the equations, rows' rows, (m, m)."""
         return self.rows.T @ self.rows
 
     def matrices(self, z: Array) -> Array:
-        """Y of every body with matter, (bodies, 4, 4).
+        """Matrix Y of each body with mass, (bodies, 4, 4).
 
         Args:
             z: Unknowns, (m,).
@@ -103,7 +106,7 @@ class NonlinearProgram:
         return matrices_from_coordinates(z[: 10 * self.body_count].reshape(-1, 10))
 
     def prior_hessian(self, z: Array) -> Array:
-        """Hessian of divergence and penalties of the prior at unit weight, (m, m).
+        """Hessian of the prior's divergence and penalties at unit weight, (m, m).
 
         Args:
             z: Unknowns in the interior of the constraints, (m,).
@@ -164,8 +167,8 @@ class NonlinearProgram:
     def _value(self, z: Array, weight: float, barrier: float) -> float:
         """Objective with barriers; infinite outside of the constraints.
 
-        Outside: a Y that is not positive definite, or a non-negative joint term that is zero or
-        less.
+        A point is outside if a Y is not positive definite, or if a non-negative joint term is zero
+        or less.
 
         Args:
             z: Unknowns, (m,).
@@ -192,8 +195,8 @@ class NonlinearProgram:
     ) -> Array | None:
         """Point of a backtracking line search, (m,); None if no step length reduces the objective.
 
-        The step length is halved from 1 to 1e-10 until the objective falls by 0.01 of length times
-        gain.
+        The step length is halved, from 1 to 1e-10, until the objective falls by at least 0.01 times
+        the product of step length and `gain`.
 
         Args:
             z: Unknowns, (m,).
@@ -212,11 +215,11 @@ class NonlinearProgram:
 
 
 def solve_program(program: NonlinearProgram, weight: float) -> tuple[Array, float]:
-    """Minimiser of the program, (m,), and Newton decrement there [sigma].
+    """Minimiser of the program, (m,), and Newton decrement at the minimiser [sigma].
 
-    Newton steps are short where bodies are nearly singular, which the data alone would make them at
-    once. The weight of the prior therefore starts large and falls to its final value; then the
-    weight of the barriers falls.
+    Newton steps are short near singular bodies, and a fit of the data alone would soon reach
+    singular bodies. The weight of the prior therefore starts large and falls to its final value;
+    then the weight of the barriers falls.
 
     Args:
         program: Program of consistent bodies.
@@ -246,10 +249,11 @@ def solve_program(program: NonlinearProgram, weight: float) -> tuple[Array, floa
 def _stages(
     program: NonlinearProgram, start: Array, final_weight: float
 ) -> Iterator[tuple[float, float]]:
-    """Yield weights of the prior and of the barriers, stage by stage.
+    """Yield the weights of the prior and of the barriers in each stage.
 
-    Both fall together by `WEIGHT_RATIO` (10) from a tenth of the squared Newton decrement at the
-    start to the final weight; then the barrier alone, to `MIN_BARRIER`.
+    Both weights fall together by the factor `WEIGHT_RATIO` (10) per stage, from a tenth of the
+    squared Newton decrement at the start to the final weight of the prior. Then the weight of the
+    barriers alone falls to `MIN_BARRIER`.
 
     Args:
         program: Program of consistent bodies.
@@ -274,10 +278,11 @@ def nonlinear_program(
     known: KnownMasses,
     terms: tuple[JointTerm, ...],
 ) -> NonlinearProgram:
-    """Nonlinear program of likelihoods, prior and known masses in scaled unknowns.
+    """Nonlinear program in scaled unknowns from likelihoods, prior and known masses.
 
-    Exactly known masses are constraints, uncertain masses and assumed zeros equations. The scale of
-    a joint term is its rotor inertia in the file, else a typical one, else its sigma by the data.
+    Exactly known masses are constraints; uncertain masses and assumed zeros are equations. The
+    scale of a joint term is its rotor inertia in the file if there is one, else a typical rotor
+    inertia, else the standard deviation that the data alone give to the term.
 
     Args:
         tree: Robot.
@@ -334,10 +339,10 @@ def _file_rotor_inertia(tree: Tree, prior: PriorBodies, term: JointTerm) -> floa
 
 
 def _typical_rotor_inertia(tree: Tree, prior: PriorBodies, term: JointTerm) -> float:
-    """Scale of a rotor inertia that is missing in the file: the body's inertia.
+    """Scale of a rotor inertia that is missing in the file [kg m^2 or kg].
 
-    About the joint axis, or the mass for a prismatic joint [kg m^2 or kg]; 0 for other terms and
-    for bodies without matter.
+    The scale is the body's moment of inertia about the joint axis, or its mass for a prismatic
+    joint; 0 for other terms and for massless bodies.
     """
     if term.law != ROTOR or term.joint not in prior.massive_bodies:
         return 0.0

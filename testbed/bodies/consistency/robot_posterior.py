@@ -1,4 +1,4 @@
-"""Posterior of a robot's bodies by estimates and its model file: `plate + prior(robot)`."""
+"""Posterior of a robot's bodies from estimates and a model file: `plate + prior(robot)`."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ class FilePrior(Value):
     options: ConsistencyOptions
 
     def __add__(self, data: Estimate | Information) -> RobotPosterior:
-        """Physically consistent bodies by data and file together.
+        """Posterior of physically consistent bodies from data and model file.
 
         Raises:
-            SettingsError: `data` is not only estimates of `identify`.
+            SettingsError: `data` is not an estimate of `identify`, or contains other data.
         """
         return self.__radd__(data)
 
@@ -65,7 +65,7 @@ def prior(robot: Tree, error: float = 0.3) -> FilePrior:
 
     Args:
         robot: Robot with the bodies of its file.
-        error: Relative standard deviation of every body's mass, centre and inertia.
+        error: Relative standard deviation of every body's mass, centre of mass and inertia.
     """
     require_tree(robot, "prior(robot, error)")
     return FilePrior(robot, ConsistencyOptions(prior_error=error))
@@ -73,7 +73,7 @@ def prior(robot: Tree, error: float = 0.3) -> FilePrior:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobotPosterior(Summarized):
-    """Posterior of a robot's physically consistent bodies by data and model file.
+    """Posterior of a robot's physically consistent bodies from data and model file.
 
     Attributes:
         prior: Prior bodies of the model file.
@@ -85,7 +85,7 @@ class RobotPosterior(Summarized):
 
     @cached_property
     def bodies(self) -> Consistent:
-        """Physically consistent bodies by data and model file, with covariances and diagnostics."""
+        """Physically consistent bodies from data and model file, with standard deviations."""
         prior = self.prior
         return consistent(
             prior.robot, self.estimates, prior_of(prior.robot), prior.options
@@ -141,9 +141,9 @@ def write_model(
 
     Args:
         robot: Robot, or posterior of estimates and model file (`plate + prior(robot)`).
-        path: Path of the copy: URDF or MJCF, as the file of the robot.
-        fixed: Share of a body for links that are fixed to others: nothing ("lump"), or in
-            proportion to their matter in the file ("share").
+        path: Path of the copy, in the format of the robot's file (URDF or MJCF).
+        fixed: Part of a body's inertia that is written to links fixed to other links: none
+            ("lump"), or a part in proportion to their inertia in the file ("share").
         note: Lines of a comment at the beginning of the copy's root element.
 
     Returns:

@@ -1,11 +1,12 @@
 """Samples of physically consistent robots from the posterior of data and a model file.
 
-A body's pseudo-inertia is J = U L L' U' with that of the file U U' [RW22]. Before the data, the
-logarithms of L's diagonal and the elements above it are independent and Gaussian; the median of a
-body's mass is that of the file. The data are Gaussian in the standard parameters, which are linear
-in Y = L L'. Samples are therefore drawn in the coordinates of Y, where directions that the data
-determine are straight: by elliptical slice sampling [MAM10] around the consistent bodies, which is
-exact for any Gaussian and has no tuning parameters.
+The pseudo-inertia of a body is J = U L L' U', where U U' is the pseudo-inertia in the file [RW22].
+In the prior, the logarithms of L's diagonal and the elements above the diagonal are independent and
+Gaussian; the median of a body's mass is the mass in the file. The likelihood of the data is
+Gaussian in the standard parameters, which are linear in Y = L L'. Samples are therefore drawn in
+the coordinates of Y, in which the directions that the data determine are straight. The method is
+elliptical slice sampling [MAM10] around the consistent bodies, which is exact for any choice of its
+Gaussian and has no tuning parameters.
 
 Source    [RW22] for the coordinates, [MAM10] for the sampler.
 """
@@ -65,11 +66,13 @@ class RobotSamples(Summarized):
     Attributes:
         joints: Names of the joints, (n,).
         links: Names of the bodies, (n,).
-        names: Names of the 13 numbers: a body's standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz
-            Izz about and along its frame, its joint's coulomb, viscous and rotor inertia.
-        values: Samples, (N, n, 13) [kg, kg m, kg m^2; N m, N m s/rad, kg m^2 or N, N s/m, kg].
-        share: Share of the prior variance that the data remove, (n, 13): 1 for numbers by the data,
-            0 for numbers by the model file.
+        names: Names of the 13 numbers of a body and its joint: standard parameters m mx my mz Ixx
+            Ixy Iyy Ixz Iyz Izz in the body frame; Coulomb friction, viscous friction and rotor
+            inertia of the joint.
+        values: The N samples, (N, n, 13) [kg, kg m, kg m^2; N m, N m s/rad, kg m^2 or N, N s/m,
+            kg].
+        share: Fraction of the prior variance that the data remove, (n, 13): 1 for numbers that the
+            data determine, 0 for numbers that the model file determines.
         prior_error: Relative error of the model file's bodies.
     """
 
@@ -109,7 +112,7 @@ class RobotSamples(Summarized):
 
         Args:
             k: Index of the sample.
-            tree: Robot with the geometry and the limits.
+            tree: Robot that provides the geometry and the limits.
         """
         fields, numbers = [str(law.parameter) for law in JOINT_LAWS], self.values[k]
         joints = tuple(
@@ -134,12 +137,13 @@ def robots(
 ) -> RobotSamples:
     """Sample robots from the posterior of estimates and a model file.
 
-    Friction and rotor inertias of joints among an estimate's terms are sampled by the data together
-    with the bodies, others log-normally around the model file with the prior's error.
+    Friction and rotor inertias that are terms of an estimate are sampled from the posterior
+    together with the bodies. Other friction and rotor inertias are sampled log-normally around the
+    values in the model file, with the relative error of the prior.
 
     Args:
         tree: Robot; the friction of its joints is that of the file.
-        estimates: Estimates of one recording, one a method.
+        estimates: Estimates from one recording, one per method.
         prior: Prior bodies and rotors.
         count: Number of samples N.
         rng: Random number generator.
@@ -185,7 +189,7 @@ def sample_file_losses(
 ) -> Array:
     """Log-normal samples of friction and rotor inertias around the model file, (count, n, 3).
 
-    Zeros stay zero.
+    Values that are zero in the file stay zero.
 
     Args:
         tree: Robot; the friction of its joints is that of the file.
@@ -200,14 +204,14 @@ def sample_file_losses(
 
 
 def _log_prior(bodies: Array, error: float) -> Array:
-    """Log density of the prior of bodies, (N,); minus infinity for impossible bodies.
+    """Log prior density of N samples of the bodies, (N,); -inf for impossible bodies.
 
-    Not normalised, with respect to the entries of Y = L L', L upper triangular: the logarithms of
-    L's diagonal and its other entries are Gaussian with mean zero and sigmas of error / 2 and
-    error / sqrt(2).
+    The density refers to the entries of Y = L L', with L upper triangular, and is not normalised.
+    The logarithms of L's diagonal are Gaussian with mean zero and sigma error / 2; the other
+    entries of L are Gaussian with mean zero and sigma error / sqrt(2).
 
     Args:
-        bodies: Y, (N, bodies, 4, 4).
+        bodies: Matrices Y of the bodies in each sample, (N, bodies, 4, 4).
         error: Relative error of the prior bodies.
     """
     density, remainder = np.zeros(len(bodies)), bodies
@@ -232,10 +236,11 @@ def _sample_unknowns(
     count: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Samples of the unknowns z by data, prior and constraints, (count, m).
+    """Posterior samples of the m unknowns z within the constraints, (count, m).
 
-    Elliptical slice sampling from the program's Gaussian, with each non-negative term mapped to a
-    truncated Gaussian; at least `CHAINS_PER_DIMENSION` chains per dimension.
+    Elliptical slice sampling starts from a Gaussian approximation at the consistent bodies, in
+    which each non-negative term is mapped to a truncated Gaussian. There are at least
+    `CHAINS_PER_DIMENSION` chains per dimension.
 
     Args:
         program: Program of consistent bodies.
@@ -270,7 +275,7 @@ def _sample_unknowns(
     def unknowns(steps: Array) -> tuple[Array, Array]:
         """Unknowns z at given steps, and log Jacobian of the map of non-negative terms, (N,).
 
-        The map takes the Gaussian of a single non-negative term to its truncation at zero.
+        The map transforms the Gaussian of each non-negative term to a Gaussian truncated at zero.
         """
         z = mean + steps @ root.T
         term_z = (z[:, program.nonnegative_indices] - term_mean) / term_sigma
@@ -281,7 +286,7 @@ def _sample_unknowns(
         return z, ((truncated_z**2 - term_z**2) / 2 + log_mass).sum(axis=1)
 
     def density(steps: Array) -> Array:
-        """Log density at given steps, (N,); minus infinity for impossible robots."""
+        """Log density at given steps, (N,); -inf for impossible robots."""
         z, log_density = unknowns(steps)
         log_density -= ((z @ program.rows.T - program.right_hand_side) ** 2).sum(
             axis=1
@@ -312,13 +317,14 @@ def elliptical_slice_samples(
     slices: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Sample a density by many chains of elliptical slice sampling, one sample a chain.
+    """Sample a density with many chains of elliptical slice sampling, one sample per chain.
 
     The ellipses are those of the Gaussian with the mean and covariance of all starting points.
 
     Args:
-        density: Log density at points, (N, d) -> (N,); minus infinity outside of the support.
-        start: Starting points in the support, (N, d), many more than dimensions.
+        density: Log density at N points in d dimensions, (N, d) -> (N,); -inf outside of the
+            support.
+        start: Starting points in the support, (N, d); N must be much larger than d.
         slices: Number of slices of each chain.
         rng: Random number generator.
     """

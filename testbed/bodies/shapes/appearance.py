@@ -27,7 +27,7 @@ class Appearance:
     Attributes:
         tree: Robot.
         shapes: Shapes on the bodies and on the bedplate.
-        diagnostics: Shapes of the model file that cannot be shown.
+        diagnostics: Diagnostics of the model file's shapes that cannot be shown.
     """
 
     tree: Tree
@@ -38,7 +38,8 @@ class Appearance:
     def tip_points(self) -> dict[int, Array]:
         """Farthest shape centre or centre of mass of each terminal body [m].
 
-        By index of the body, in the body frame, (3,) each.
+        The points, (3,), are in the body frame and keyed by the index of the body. Distances are
+        measured from the origin of the body frame.
         """
         points = {}
         for j in range(self.tree.n):
@@ -53,7 +54,8 @@ class Appearance:
     def reach(self) -> float:
         """Approximate reach of the robot [m], at least 0.1.
 
-        Sum of joint offsets over the number of base joints, plus the farthest tip point's distance.
+        The reach is the sum of the lengths of all joint offsets, divided by the number of joints on
+        the bedplate, plus the largest distance of a tip point from its body's origin.
         """
         lengths = sum(float(np.linalg.norm(joint.offset)) for joint in self.tree.joints)
         ends = max(float(np.linalg.norm(point)) for point in self.tip_points.values())
@@ -61,9 +63,10 @@ class Appearance:
 
     @cached_property
     def clear_corner(self) -> Array:
-        """Position on the bedplate's plane z = 0 beside all shapes of the bedplate, (3,) [m].
+        """Point in the plane z = 0 outside the bounds of the bedplate's shapes, (3,) [m].
 
-        Beyond their largest x and least y, with a clearance of `CLEARANCE_RATIO` of the reach.
+        The point lies beyond the largest x and the smallest y of the shapes, with a clearance of
+        `CLEARANCE_RATIO` times the reach.
         """
         boxes = [shape_bounds(shape) for shape in self.shapes if shape.body < 0]
         clearance = CLEARANCE_RATIO * self.reach
@@ -73,7 +76,10 @@ class Appearance:
 
     @cached_property
     def plate_height(self) -> float:
-        """Largest z of the bedplate's shape with the largest x-y bounds [m]; 0 without shapes."""
+        """Largest z of the bedplate's widest shape [m]; 0 without shapes.
+
+        The widest shape has the bounding box with the largest area in the x-y plane.
+        """
         boxes = [shape_bounds(shape) for shape in self.shapes if shape.body < 0]
         widest = max(
             boxes, key=lambda box: float(np.prod((box[1] - box[0])[:2])), default=None
@@ -101,8 +107,8 @@ def load_shapes(model: ModelSource, tree: Tree) -> VisualShapes:
 def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
     """Load the appearance of a robot from its model file, or make a stick figure.
 
-    A stick figure if there is no file or no shape in it. A plate is added if the bedplate has no
-    wide box.
+    A stick figure is made if there is no file or if the file contains no shape. A plate is added if
+    the bedplate has no wide box.
 
     Args:
         tree: Robot.
@@ -122,7 +128,7 @@ def _with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
     """Shapes with a plate under the robot, unless the bedplate has a wide box already.
 
     The plate is a square box with its upper side at z = 0. A box is wide if it is over half as wide
-    in both directions.
+    as this plate in both directions.
     """
     span = sum(float(np.linalg.norm(joint.offset)) for joint in tree.joints)
     half = max(0.3 * span / max(1, len(tree.children(-1))), 0.1)

@@ -35,7 +35,8 @@ _VISIBLE_GROUPS = 3
 def read_shapes(model_file: ModelSource, tree: Tree) -> VisualShapes:
     """Read the geoms that MuJoCo's viewer shows, except planes and height fields.
 
-    Geom groups 0, 1 and 2. Meshes that cannot be read are left out, with diagnostics.
+    These are the geoms of the groups 0, 1 and 2. Meshes that cannot be read are left out and
+    reported as diagnostics.
 
     Args:
         model_file: MJCF file, and the options it was read with.
@@ -102,7 +103,7 @@ def _body_index(model: mujoco.MjModel, body: int, tree: Tree) -> int:
 
 
 def _shape_size(kind: ShapeKind, size: Array, geom_type: int) -> Array:
-    """Size of a shape as defined in `Shape`, from MuJoCo's size of the geom.
+    """Size of a shape as defined by `Shape.size`, converted from the size of a geom.
 
     Args:
         kind: Kind of the shape.
@@ -117,7 +118,7 @@ def _shape_size(kind: ShapeKind, size: Array, geom_type: int) -> Array:
 
 
 def _mesh_arrays(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
-    """Vertices, (V, 3) [m], and faces, (F, 3), of a geom's mesh."""
+    """Vertices, (V, 3) [m], and vertex indices of the faces, (F, 3), of a geom's mesh."""
     mesh = model.mesh(int(model.geom_dataid[geom]))
     v, f = int(mesh.vertadr[0]), int(mesh.faceadr[0])
     vertices = model.mesh_vert[v : v + int(mesh.vertnum[0])]
@@ -126,7 +127,10 @@ def _mesh_arrays(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
 
 
 def _geom_colour(model: mujoco.MjModel, geom: int) -> Array:
-    """Colour of a geom's material, else of the geom: red, green, blue, opacity, (4,)."""
+    """Colour of a geom: red, green, blue, opacity, (4,).
+
+    If the geom has a material, the colour of the material is used.
+    """
     material = int(model.geom_matid[geom])
     colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return np.array(colour, dtype=np.float64)

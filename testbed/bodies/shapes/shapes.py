@@ -24,12 +24,12 @@ class Shape:
         body: Index of the body, -1 for the bedplate.
         kind: "box", "ellipsoid", "cylinder", "capsule" or "mesh".
         size: Half lengths of a box, radii of an ellipsoid, radius and half length of a cylinder or
-            capsule (along z, hemispheres not counted), (k,) [m].
+            capsule (along z, without the hemispheres), (k,) [m].
         position: Position of the centre in the body frame, (3,) [m].
-        rotation: Rotation matrix from the shape's axes to the body's, (3, 3).
+        rotation: Rotation matrix from the shape's axes to the body's axes, (3, 3).
         colour: Red, green, blue, opacity, 0 ... 1, (4,).
-        vertices: Vertices of a mesh in the shape's axes, (V, 3) [m].
-        faces: Vertex indices of a mesh's faces, counter-clockwise from outside, (F, 3).
+        vertices: The V vertices of a mesh in the shape's axes, (V, 3) [m].
+        faces: Vertex indices of the F faces of a mesh, counter-clockwise seen from outside, (F, 3).
     """
 
     body: int
@@ -52,7 +52,7 @@ class VisualShapes:
 
     Attributes:
         shapes: Shapes in the file.
-        diagnostics: Shapes of the file that cannot be shown.
+        diagnostics: Diagnostics of the file's shapes that cannot be shown.
     """
 
     shapes: tuple[Shape, ...]
@@ -91,7 +91,7 @@ def stick_figure(tree: Tree) -> Iterator[Shape]:
 def equivalent_ellipsoids(tree: Tree, colour: Sequence[float]) -> tuple[Shape, ...]:
     """Homogeneous ellipsoids with the inertias of the bodies; impossible bodies are left out.
 
-    An ellipsoid with half lengths a has principal second moments m a^2 / 5.
+    An ellipsoid with mass m and semi-axes a has the principal second moments m a^2 / 5.
 
     Args:
         tree: Robot.
@@ -114,7 +114,7 @@ def equivalent_ellipsoids(tree: Tree, colour: Sequence[float]) -> tuple[Shape, .
 
 
 def shape_bounds(shape: Shape) -> tuple[Array, Array]:
-    """Least and largest coordinates of a shape in the body frame, (3,) each [m]."""
+    """Smallest and largest coordinates of a shape in the body frame, (3,) each [m]."""
     if shape.kind == "mesh":
         corners = shape.vertices @ shape.rotation.T + shape.position
         return corners.min(axis=0), corners.max(axis=0)

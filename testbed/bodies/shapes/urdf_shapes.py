@@ -32,10 +32,11 @@ _ARRAY_FIELDS = ("size", "position", "rotation", "colour", "vertices", "faces")
 
 
 def read_shapes(model_file: ModelSource, tree: Tree) -> VisualShapes:
-    """Read the visual elements; mesh files are searched in the file's folder and above.
+    """Read the visual elements of a URDF file.
 
-    Missing or unreadable meshes and invalid visuals are left out, with diagnostics. Shapes are grey
-    if no visual has a material.
+    Mesh files are searched for in the folder of the URDF file and its parent folders. Missing or
+    unreadable meshes and invalid visuals are left out and reported as diagnostics. All shapes are
+    grey if no visual has a material.
 
     Args:
         model_file: URDF file, and the options it was read with.
@@ -91,13 +92,15 @@ def read_shapes(model_file: ModelSource, tree: Tree) -> VisualShapes:
 def _shapes_from_urdf(
     path: Path, root: ET.Element, tree: Tree, coloured: bool
 ) -> tuple[Shape, ...]:
-    """Shapes of a URDF by Pinocchio; files with meshes are read in a child process.
+    """Shapes of a URDF, read with Pinocchio.
+
+    A URDF with meshes is read in a child process.
 
     Args:
         path: Model file, for messages.
         root: URDF with absolute names of the meshes.
         tree: Tree read from the file.
-        coloured: True if the file has materials; else the shapes are grey.
+        coloured: True if the file has materials; otherwise the shapes are grey.
 
     Raises:
         ModelError: Pinocchio rejects the shapes.
@@ -121,15 +124,16 @@ def _shapes_from_urdf(
 
 
 def read_visuals(path: str, texts: list[str]) -> ChildResult:
-    """Read the visual elements of several URDFs, to be called in a child process.
+    """Read the visual elements of several URDFs; to be called in a child process.
 
     Args:
         path: Model file, for errors of the child process.
         texts: URDFs with absolute names of the meshes.
 
     Returns:
-        "faults": message for each text, empty without a fault; "shapes": joint of each shape (empty
-        for the bedplate) and its kind; arrays "k PART" of shape k.
+        Records and arrays. The record "faults" contains an error message for each text, empty if
+        there is no error; the record "shapes" contains the joint (empty for the bedplate) and the
+        kind of each shape. The array "k FIELD" is the field FIELD of shape number k.
     """
     del path
     faults: list[str] = []
@@ -163,14 +167,15 @@ READ_VISUALS = f"{__name__}:{read_visuals.__name__}"
 
 
 def _visual_faults(path: Path, texts: list[str], until: float) -> list[str]:
-    """Fault of each visual, "" without a fault; visuals that crash are found by bisection.
+    """Error message of each visual, empty if there is no error.
 
-    Visuals that are not reached before the deadline get a fault, too.
+    Visuals that crash Pinocchio are found by bisection. Visuals that are not reached before the
+    deadline get an error message, too.
 
     Args:
         path: Model file, for messages.
         texts: URDFs of one visual each.
-        until: Deadline by the monotonic clock [s].
+        until: Deadline on the monotonic clock [s].
     """
     remaining = until - time.monotonic()
     if remaining <= 0:
@@ -192,7 +197,7 @@ def _visual_faults(path: Path, texts: list[str], until: float) -> list[str]:
 
 
 def _single_visual_urdf(visual: ET.Element) -> str:
-    """Text of a URDF with a link of a single visual."""
+    """Text of a URDF with one link that has a single visual."""
     robot = ET.Element("robot", name="one", version="1.2")
     ET.SubElement(robot, "link", name="one").append(visual)
     return ET.tostring(robot, encoding="unicode")
@@ -217,7 +222,7 @@ def _visual_model(text: str) -> tuple[pin.Model, pin.GeometryModel]:
 
 
 def _shape_arrays(form: object) -> Iterator[tuple[ShapeKind, Array, Array, Array]]:
-    """Kind, size, vertices and faces of a Coal geometry; nothing for other geometries."""
+    """Yield kind, size, vertices and faces of a Coal geometry, if its type is supported."""
     none = np.zeros((0, 3))
     if isinstance(form, coal.Box):
         yield "box", np.array(form.halfSide).ravel(), none, none
@@ -245,13 +250,13 @@ def _prepare_visuals(
 ) -> Iterator[Diagnostic]:
     """Normalise numbers and mesh names of a link's visuals; remove and diagnose invalid visuals.
 
-    Invalid: malformed numbers, a missing mesh file, or one that must not be read. Mesh names become
-    absolute paths.
+    A visual is invalid if its numbers are malformed or if its mesh file is missing or must not be
+    read. Mesh names become absolute paths.
 
     Args:
         link: Link of the URDF, changed in place.
         path: Model file.
-        missing_files: List that receives the mesh files that are not found.
+        missing_files: List to which the names of missing mesh files are appended.
     """
     owner = f"link '{link.get('name')}'"
     for visual in link.findall("visual"):

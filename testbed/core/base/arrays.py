@@ -1,7 +1,7 @@
 """Array types, read-only arrays of a checked shape, cross-product matrices.
 
-Trailing axes are those of a vector or matrix, leading axes are samples: every function here works
-for one sample, many samples, and arrays of symbols.
+The trailing axes are those of a vector or matrix; leading axes are samples. All functions accept a
+single sample, many samples, and arrays of symbols.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ def readonly_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -
     """Read-only float64 array of a checked shape.
 
     Args:
-        value: Anything that NumPy converts to an array. Copied in row-major order, unless it is a
-            read-only float64 array already: parts of recordings and memory maps are not copied. An
-            empty list becomes an array of the shape, if an axis has length 0 and no axis is free.
+        value: Value that NumPy can convert to an array. It is copied in row-major order unless it
+            is already a read-only float64 array, such as a part of a recording or a memory map. An
+            empty list becomes an array of the required shape if an axis has length 0 and no axis is
+            free.
         shape: Required shape; None leaves an axis free.
         name: Name of the array in the error message.
 
@@ -57,7 +58,7 @@ def freeze_arrays(value: object, **shapes: tuple[int | None, ...]) -> None:
 
     Args:
         value: The dataclass instance, changed in place.
-        **shapes: Required shapes by name of the field, as for `readonly_array`.
+        **shapes: Required shapes as for `readonly_array`, keyed by field name.
 
     Raises:
         ValueError: A shape differs.
@@ -69,7 +70,7 @@ def freeze_arrays(value: object, **shapes: tuple[int | None, ...]) -> None:
 
 
 def skew(v: AnyArray) -> AnyArray:
-    """Cross-product matrix v~ with v~ u = v x u, (..., 3, 3), of v, (..., 3)."""
+    """Cross-product matrix v~ with `v~ u = v x u` of a vector v, (..., 3, 3)."""
     matrix = np.zeros((*v.shape, 3), dtype=v.dtype)
     matrix[..., [2, 0, 1], [1, 2, 0]] = v
     matrix[..., [1, 2, 0], [2, 0, 1]] = -v

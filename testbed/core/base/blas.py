@@ -1,6 +1,6 @@
 """Linear algebra on one thread, with reproducible results.
 
-The order of the sums in BLAS, and so the rounding, depends on the number of threads.
+The order of summation in BLAS, and therefore the rounding, depends on the number of threads.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ def _thread_controller() -> ThreadpoolController:
 def eigh(matrix: Array) -> tuple[Array, Array]:
     """Eigenvalues in ascending order, (m,), and eigenvectors, (m, m), of a symmetric matrix.
 
-    Divide and conquer (LAPACK's syevd, the default of NumPy) fails for a few good matrices of a
-    hundred columns and more; relatively robust representations (syevr) are used then.
+    Divide and conquer (LAPACK's syevd, the default of NumPy) fails to converge for a few regular
+    matrices with a hundred or more columns. In this case, relatively robust representations (syevr)
+    are used.
 
     Args:
         matrix: Symmetric matrix, (m, m).

@@ -1,4 +1,4 @@
-"""User's cache folder, for compiled kernels and other files that can be made again."""
+"""User's cache folder, for compiled kernels and other files that can be recreated."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """Path of testbed's cache folder, which need not exist.
+    """Path of testbed's cache folder, which may not exist yet.
 
-    The folder "testbed" below XDG_CACHE_HOME, else below LOCALAPPDATA, else below ~/.cache.
+    The folder is named "testbed" and is located in XDG_CACHE_HOME, or if this is not set in
+    LOCALAPPDATA, or otherwise in ~/.cache.
     """
     home = (
         os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"

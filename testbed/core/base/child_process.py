@@ -1,7 +1,8 @@
 """Function calls in a child Python process with limits of time and memory.
 
-C libraries may crash, loop or exhaust the memory on a damaged file; then only the child ends.
-Results are JSON and NumPy arrays in a temporary folder, never pickles.
+On a damaged file, C libraries may crash, loop endlessly or exhaust the memory. In a child process,
+such a failure does not affect this process. Results are passed as JSON and NumPy arrays in a
+temporary folder, never as pickles.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from numpy.typing import NDArray
 from testbed.core.base.errors import TestbedError
 
 MAX_SECONDS, MAX_BYTES = 60.0, 4_000_000_000
-"""Default limits of a child: run time [s] and address space [bytes]."""
+"""Default limits of a child process: run time [s] and address space [bytes]."""
 
 ChildResult = tuple[Any, Mapping[str, NDArray[Any]]]
-"""Return value of functions called in a child: JSON content, and arrays by name."""
+"""Return value of functions called in a child: JSON content, and arrays keyed by name."""
 
 
 def call_in_child(
@@ -45,21 +46,21 @@ def call_in_child(
     The child process is killed at the time limit; it ends when this process ends.
 
     Args:
-        function: Function as MODULE:NAME, a literal of this package; returns a `ChildResult`: JSON
-            content, and arrays by name.
-        *arguments: Arguments, JSON values.
+        function: Function of this package in the form MODULE:NAME, given as a literal. It returns a
+            `ChildResult`: JSON content, and arrays keyed by name.
+        *arguments: Arguments of the function, as JSON values.
         file: File that the function reads, for error messages.
-        error: Class of the errors raised here; takes a message.
+        error: Class of the errors to raise; its constructor takes a message.
         seconds: Limit of run time [s].
-        memory: Limit of address space, and of each written file [bytes], where the system has such
-            limits.
+        memory: Limit of address space and of the size of each written file [bytes], on systems that
+            support such limits.
 
     Returns:
         Return value of the function.
 
     Raises:
-        TestbedError: An `error` with the message of the function's error, or stating that the
-            library crashed, failed, or exceeded the limits.
+        TestbedError: An instance of `error` with the message of the function's error, or with the
+            message that the library crashed, failed, or exceeded the limits.
     """
     with tempfile.TemporaryDirectory(
         prefix="testbed-", ignore_cleanup_errors=True
@@ -87,9 +88,9 @@ def call_in_child(
 
 
 def _run_child(folder: Path, seconds: float) -> int | None:
-    """Run the call of a folder, `call.json`, in a child Python; return its exit code.
+    """Run the call in `call.json` of a folder in a child; return its exit code.
 
-    None if the child exceeds the time limit and is killed.
+    The result is None if the child exceeds the time limit and is killed.
     """
     process = subprocess.Popen(
         # -P: no code of the working folder
@@ -121,10 +122,11 @@ def _run_child(folder: Path, seconds: float) -> int | None:
 
 
 def _make_call(folder: Path) -> None:
-    """Run the call of a folder, `call.json`, and write its results there.
+    """Run the call in `call.json` of a folder, and write its results there.
 
-    In the child process, which ends with exit code 0. Array k is written to k.npy; `answer.json`
-    has content and array names, or the message of any error of the function.
+    This function runs in the child process, which then ends with exit code 0. Array number k is
+    written to k.npy. The file `answer.json` contains the JSON content and the array names, or the
+    message of any error raised by the function.
     """
     function, arguments, seconds, memory = json.loads(
         (folder / "call.json").read_text()
@@ -154,7 +156,7 @@ def _make_call(folder: Path) -> None:
 
 
 def _limit_resources(seconds: float, memory: int) -> None:
-    """Limit memory, file size and CPU time of this process, where the system can."""
+    """Limit memory, file size and CPU time of this process, if the system supports limits."""
     with suppress(ImportError):
         import resource  # not on Windows
 
@@ -173,9 +175,9 @@ def _limit_resources(seconds: float, memory: int) -> None:
 
 
 def _exit_with_parent(folder: Path) -> None:
-    """End this process when the parent ends and thereby closes its end of the pipe.
+    """End this process when the parent ends and thereby closes the pipe.
 
-    The folder of the call is removed before.
+    The folder of the call is removed first.
     """
     sys.stdin.buffer.read()
     shutil.rmtree(folder, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Text of files up to a limit of size, and SHA-256 digests."""
+"""Text of files up to a maximum size, and SHA-256 digests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def read_text(path: Path, max_bytes: int) -> str:
         max_bytes: Largest permitted size.
 
     Raises:
-        OSError: The path is not a file, is not readable, or the file is too large.
+        OSError: The path is not a file, or the file is not readable or too large.
     """
     if not path.is_file():  # opening a pipe would wait for its writer
         raise OSError(f"'{path}' is no file")

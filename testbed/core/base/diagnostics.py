@@ -1,7 +1,7 @@
-"""Diagnostics of a result as values; the wording is in `messages.toml`.
+"""Diagnostics of results, represented as values; their wording is in `messages.toml`.
 
-An error means that data and model contradict each other, so that standard deviations are not valid;
-a warning names a limit of the result; an info names a step that was taken.
+The level "error" means that data and model contradict each other, so that standard deviations are
+not valid. A "warning" describes a limitation of the result, an "info" a processing step.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 Level = Literal["error", "warning", "info"]
 
 MAX_QUOTED = 2
-"""Largest number of diagnostics of one code, causes and remedy that are quoted each."""
+"""Largest number of diagnostics quoted in full that share code, causes and remedy."""
 
 
 @dataclass(frozen=True)
@@ -26,19 +26,19 @@ class Diagnostic:
     """Finding about a result: code, text, level, size, likely causes and remedy.
 
     Attributes:
-        code: Kind of finding, such as "plate.tare"; a key of the message table.
+        code: Kind of finding, such as "plate.tare": a key of the message table.
         text: Statement of the finding, with numbers.
         level: Severity.
         subject: Channel, joint, parameter or file concerned.
         value: Size of the finding, in the unit given in the text.
         sigma: Standard deviation of `value`.
-        significance: Size of the finding in standard deviations of the noise; None where noise
-            cannot cause it.
-        method: Method whose estimate is affected, "wrench" or "torque"; "" for all.
-        causes: Codes of the likely causes, the likeliest first; or phrases.
+        significance: Size of the finding in standard deviations of the noise; None if noise cannot
+            cause it.
+        method: Method whose estimate is affected, "wrench" or "torque"; "" for all methods.
+        causes: Codes of the likely causes, or phrases; the most likely cause comes first.
         remedy: Recommended action.
-        follows: Code of the diagnostic that explains this symptom; "" for none.
-        recording: Name of the recording; "" where there is only one.
+        follows: Code of the diagnostic of which this diagnostic is a symptom; "" for none.
+        recording: Name of the recording; "" if there is only one recording.
         instrument: Name of the force sensor concerned; "" for the force plate.
     """
 
@@ -62,9 +62,9 @@ class Diagnostic:
     def explains(self, other: Diagnostic) -> bool:
         """True if another diagnostic may be a symptom of this diagnostic.
 
-        The message of the other has a symptom name and this message is not `alone`; the recordings
-        are equal; this method is the other's method, or "". A `gross` symptom also needs a cause
-        without significance.
+        The other message must have a symptom name, and this message must not be marked `alone`.
+        The recordings must be equal, and so must the methods, unless this method is "". A symptom
+        marked `gross` also requires that this diagnostic has no significance.
         """
         message, symptom = _message(self.code), _message(other.code).symptom
         if not symptom or message.alone or self.method not in ("", other.method):
@@ -81,18 +81,18 @@ class Diagnostic:
 
 
 class Message(NamedTuple):
-    """Wording of one kind of diagnostic: one table of `messages.toml`.
+    """Wording of one kind of diagnostic, from one table of `messages.toml`.
 
     Attributes:
-        text: Statement, with fields of `str.format`.
+        text: Statement, with replacement fields of `str.format`.
         level: Severity of the diagnostic.
         causes: Codes of likely causes.
-        remedy: Recommended action, with fields.
-        optional: Additions to the text by field name, used where the field is not empty.
+        remedy: Recommended action, with replacement fields.
+        optional: Additions to the text, keyed by field name, used if the field is not empty.
         symptom: Name of the finding as a symptom of another diagnostic; "" for a cause.
-        gross: True for a symptom of gross faults only.
-        alone: True if the diagnostic explains no symptoms.
-        rank: Order among symptoms: without a cause, the first symptom stands for the others.
+        gross: True for a symptom that only gross faults have.
+        alone: True if the diagnostic has no symptoms.
+        rank: Order among symptoms; if no cause is present, the first symptom replaces the cause.
     """
 
     text: str
@@ -118,19 +118,20 @@ def make_diagnostic(
     causes: Iterable[str] | None = None,
     **details: Any,
 ) -> Diagnostic:
-    """Make a diagnostic with the wording of the message table.
+    """Create a diagnostic with the wording of the message table.
 
     Args:
-        code: Key of the table, GROUP.NAME; GROUP.other words a code that is not in the table.
+        code: Key of the table, GROUP.NAME; a code that is not in the table gets the wording of
+            GROUP.other.
         subject: Channel, joint, parameter or file concerned.
-        value: Size of the finding; this and the next two numbers become None if not finite.
+        value: Size of the finding; `value`, `sigma` and `significance` become None if not finite.
         sigma: Standard deviation of `value`.
         significance: Size in standard deviations of the noise.
         method: Method whose estimate is affected.
-        level: Severity; default that of the table.
-        causes: Codes of likely causes; default those of the table.
-        **details: Values of further fields of the wording; if not empty, the addition of that name
-            is appended to the text.
+        level: Severity; by default that of the table.
+        causes: Codes of likely causes; by default those of the table.
+        **details: Values of further fields of the wording; for a value that is not empty, the
+            optional addition of the same name is appended to the text.
     """
     message = _message(code)
     numbers = {"value": value, "sigma": sigma, "significance": significance}
@@ -151,16 +152,16 @@ def make_diagnostic(
 
 
 _PLATE = re.compile(r"(?<![-\w])(force )?plate(?!\w)")
-"""Name of the force plate within a sentence."""
+"""Pattern that matches the name of the force plate in a sentence."""
 
 
 def worded_for_sensor(
     diagnostics: Iterable[Diagnostic], name: str
 ) -> tuple[Diagnostic, ...]:
-    """Diagnostics of another force sensor: its name replaces "plate" in the texts.
+    """Diagnostics with the name of a force sensor in place of "plate" in the texts.
 
     Args:
-        diagnostics: Diagnostics as the table words them.
+        diagnostics: Diagnostics with the wording of the table.
         name: Name of the sensor; "" for the plate.
     """
     if not name:
@@ -180,10 +181,10 @@ def worded_for_sensor(
 def ordered_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Order diagnostics: causes by decreasing significance, then symptoms, then warnings and infos.
 
-    Causes and symptoms are of level "error"; a cause without significance counts as infinite.
-    Each symptom gets in `follows` the code of the first cause that explains it (`explains`).
-    Without a cause, the symptom that is first in the message table stands for the cause of others.
-    Duplicates are removed.
+    Causes and symptoms are of level "error". A missing significance is treated as infinite. The
+    field `follows` of each symptom is set to the code of the first cause that explains it
+    (`explains`). If there is no cause, the symptom that comes first in the message table is taken
+    as the cause of the others. Duplicates are removed.
 
     Args:
         diagnostics: Diagnostics of one recording, of one or both methods.
@@ -207,7 +208,7 @@ def ordered_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, 
 def sentences(diagnostics: Iterable[Diagnostic]) -> tuple[str, ...]:
     """Texts of diagnostics, one line per group of similar diagnostics.
 
-    A line has the parts of `diagnostic_paragraphs`, separated by full stops.
+    A line consists of the parts from `diagnostic_paragraphs`, separated by full stops.
 
     Args:
         diagnostics: Ordered diagnostics.
@@ -220,9 +221,9 @@ def diagnostic_paragraphs(
 ) -> tuple[tuple[str, ...], ...]:
     """Parts of each group's text: findings, likely causes, symptoms, remedy.
 
-    Diagnostics of the same code, recording, instrument, level, causes and remedy form a group;
-    without causes and remedy, the same text is required, too. Symptoms are named with the first
-    group of their cause.
+    Diagnostics with the same code, recording, instrument, level, causes and remedy form a group. If
+    there are no causes and no remedy, the texts must also be equal. Symptoms are listed with the
+    first group of their cause.
 
     Args:
         diagnostics: Ordered diagnostics.
@@ -271,15 +272,15 @@ class Diagnosed:
 
     @property
     def has_errors(self) -> bool:
-        """True if data and model contradict each other: standard deviations are not valid."""
+        """True if data and model contradict each other, so that sigmas are not valid."""
         return any(each.level == "error" for each in self.diagnostics)
 
 
 @cache
 def message_table() -> Mapping[str, Message]:
-    """Message table: wording of every kind of diagnostic, by code GROUP.NAME.
+    """Message table: wording of each kind of diagnostic, keyed by code GROUP.NAME.
 
-    Keys directly under a group hold for all messages of the group; symptoms are ranked in the order
+    Keys directly under a group apply to all messages of the group. Symptoms are ranked in the order
     of the file.
     """
     by_code: dict[str, Message] = {}
@@ -302,7 +303,8 @@ def cause_phrase(cause: str, instrument: str = "") -> str:
     """Phrase for a likely cause, from the table of causes.
 
     Args:
-        cause: Code of the cause; outside the table, a phrase, or words joined by underscores.
+        cause: Code of the cause; if it is not in the table, a phrase or words joined by
+            underscores.
         instrument: Name of the force sensor, which replaces "plate"; "" for the plate.
     """
     words = cause.replace("_", " ") if cause.isidentifier() else cause
@@ -319,13 +321,13 @@ def _message_file() -> Mapping[str, Any]:
 
 
 def _message(code: str) -> Message:
-    """Message of a code; for an unknown code "other" of the same group, or empty."""
+    """Message of a code; for unknown codes the group's message "other", or an empty message."""
     other = f"{code.partition('.')[0]}.other"
     return message_table().get(code, message_table().get(other, Message("")))
 
 
 def _group_key(each: Diagnostic) -> tuple[str, ...]:
-    """Key of diagnostics that are worded together: see `diagnostic_paragraphs`."""
+    """Key that is equal for diagnostics of one group (`diagnostic_paragraphs`)."""
     own = () if each.causes or each.remedy else (each.text,)
     return (
         each.code,
@@ -339,9 +341,9 @@ def _group_key(each: Diagnostic) -> tuple[str, ...]:
 
 
 def _group_text(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
-    """Text, likely causes, consequences and remedy of similar diagnostics.
+    """Texts, likely causes, symptoms and remedy of a group of similar diagnostics.
 
-    The first `MAX_QUOTED` texts are quoted, the others are counted.
+    The first `MAX_QUOTED` texts are quoted; of the others, only the number is given.
     """
     first, texts = group[0], [each.text for each in group[:MAX_QUOTED]]
     texts += [f"and {len(group) - MAX_QUOTED} similar"] * (len(group) > MAX_QUOTED)
@@ -364,10 +366,10 @@ def _group_text(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, 
 
 
 def _significance(each: Diagnostic) -> float:
-    """Significance for sorting; infinite where the diagnostic has none."""
+    """Significance for sorting; infinite if the diagnostic has no significance."""
     return math.inf if each.significance is None else each.significance
 
 
 def _finite_or_none(value: float | None) -> float | None:
-    """Number as a float; None if it is not finite or absent."""
+    """Number as a float; None if the number is absent or not finite."""
     return None if value is None or not math.isfinite(value) else float(value)

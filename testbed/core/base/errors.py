@@ -1,7 +1,7 @@
-"""Exceptions caused by user input, and functions that word their messages.
+"""Exceptions caused by user input, and functions for the wording of their messages.
 
-Every error that a user can cause derives from `TestbedError`, with its data as attributes. The
-command line prints the message as one line and exits with code 2.
+All errors that a user can cause derive from `TestbedError`. The command line prints the message on
+one line and exits with code 2.
 """
 
 from __future__ import annotations
@@ -14,16 +14,17 @@ from pathlib import Path
 MAX_MESSAGE_LENGTH = 500
 """Largest number of characters of a message, so that it fits into a terminal.
 
-Most messages have at most 300; longer ones print lines of a mapping or list joints of a loop.
+Most messages have at most 300 characters. Longer messages quote lines of a mapping file or list the
+joints of a loop.
 """
 MAX_SEARCHED_LENGTH = 200
-"""Largest length of a name that is searched for spelling errors: the search is slow."""
+"""Largest length of a name for which similar names are sought, because the search is slow."""
 VALUES_PER_UNKNOWN = 3
-"""Recommended number of values per unknown, for a motion that does not repeat."""
+"""Recommended number of measured values per unknown, for a motion without repetitions."""
 MAX_LISTED, MAX_LIST_WIDTH = 6, 100
-"""Largest number of names in a list, and largest width of a list in a message [characters]."""
+"""Largest number of names and largest width [characters] of a list in a message."""
 MAX_SUGGESTIONS, MAX_SEARCHED_NAMES = 5, 2000
-"""Largest number of suggested names, and of known names that are searched for suggestions."""
+"""Largest number of suggested names, and of known names among which suggestions are sought."""
 
 
 def printable_line(text: str, limit: int = MAX_MESSAGE_LENGTH) -> str:
@@ -34,8 +35,8 @@ def printable_line(text: str, limit: int = MAX_MESSAGE_LENGTH) -> str:
         limit: Largest number of characters of the result.
 
     Returns:
-        Text with single spaces for blanks and line ends, and with control characters (escape
-        sequences, C1 controls, bidirectional marks) spelled out, as \x1b.
+        Text with single spaces in place of white space and line ends; control characters (escape
+        sequences, C1 controls, bidirectional marks) are replaced by codes such as \x1b.
     """
     characters = [
         escape_control_characters(letter) for letter in " ".join(text.split())
@@ -54,7 +55,7 @@ def printable_line(text: str, limit: int = MAX_MESSAGE_LENGTH) -> str:
 
 
 def escape_control_characters(text: str) -> str:
-    r"""Text with control characters other than tab and line feed spelled out, as \x1b."""
+    r"""Replace control characters, except tab and line feed, by codes such as \x1b."""
     return "".join(
         c
         if c.isprintable() or c in "\n\t\u00a0"
@@ -64,7 +65,7 @@ def escape_control_characters(text: str) -> str:
 
 
 def round_significant(value: float, digits: int) -> float:
-    """Number rounded to significant digits.
+    """Round a number to a given number of significant digits.
 
     Args:
         value: Any number.
@@ -85,9 +86,9 @@ def shortened_list(
 
     Args:
         names: Names, for example of parameters.
-        width: Largest number of characters of all names together, the first always whole; default:
-            `MAX_LISTED` names of any length.
-        by: Separator.
+        width: Largest total number of characters of the names; the first name is never shortened.
+            By default, the limit is `MAX_LISTED` names of any length.
+        by: Separator between the names.
     """
     ends = accumulate((len(name) + len(by) for name in names), initial=0)
     count = MAX_LISTED if width is None else sum(end <= width for end in ends) - 1
@@ -109,9 +110,9 @@ def vector_text(vector: Iterable[float]) -> str:
 def _leading_pieces(
     pieces: Sequence[str], limit: int, *, backwards: bool = False
 ) -> str:
-    """Longest run of whole leading pieces within a limit of characters, joined.
+    """Join as many leading pieces of a text as fit into a limit of characters.
 
-    With `backwards`, the pieces are given in reverse order and joined in text order.
+    With `backwards`, the pieces are given in reverse order and joined in the order of the text.
     """
     chosen: list[str] = []
     for piece in pieces:
@@ -163,13 +164,14 @@ class UnknownName(TestbedError):
 
 
 def missing_file_message(path: Path, what: str) -> str:
-    """Message on a path that is no file.
+    """Error message for a path that is not a file.
 
-    It names the kind of an existing path (folder, device), else a similar name in the folder.
+    If the path exists, the message gives its kind (folder, device). Otherwise, it suggests a
+    similar name in the folder.
 
     Args:
-        path: Path as the user wrote it.
-        what: Kind of file expected.
+        path: Path as written by the user.
+        what: Expected kind of file.
     """
     if path.exists():
         return f"'{path}' is a {'folder' if path.is_dir() else 'device or pipe'}, no {what}"
@@ -185,7 +187,7 @@ def missing_file_message(path: Path, what: str) -> str:
 
 
 class RecordingError(TestbedError):
-    """Damaged or incomplete recording, or recording of another robot."""
+    """Error: damaged or incomplete recording, or recording of another robot."""
 
 
 class SettingsError(TestbedError, ValueError):
@@ -197,11 +199,11 @@ class ExperimentError(TestbedError):
 
 
 class NoFeasibleMotion(TestbedError):
-    """Error of a search without a motion within the robot's limits."""
+    """Error: no motion was found within the robot's limits."""
 
 
 class UnidentifiableParameters(TestbedError):
-    """Base parameters that the data cannot distinguish.
+    """Error: base parameters that the data cannot distinguish from each other.
 
     Attributes:
         names: Names of the parameters.
@@ -233,7 +235,7 @@ class UnidentifiableParameters(TestbedError):
 
 
 class ExpressionError(TestbedError):
-    """Expression too long, or of too high a degree, to be expanded."""
+    """Error: expression too long, or of too high a degree, to be expanded."""
 
 
 class ViewerError(TestbedError):

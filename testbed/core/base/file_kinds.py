@@ -1,6 +1,6 @@
-"""Recognition of file kinds by content, and messages on files of the wrong kind.
+"""Recognition of file kinds by content, and messages about files of the wrong kind.
 
-A command's arguments are easily exchanged; the message names the option that takes the file.
+Arguments of a command are easily interchanged; the message gives the option that takes the file.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from testbed.core.base.errors import TestbedError
 
 HEAD_BYTES = 65_536
-"""Bytes read at either end of a file to recognise its kind."""
+"""Number of bytes read at the beginning and at the end of a file to recognise its kind."""
 
 REQUIRED_KEYS = {
     "mapping": {"sources", "joints"},
@@ -24,10 +24,10 @@ REQUIRED_KEYS = {
     "campaign": {"name", "experiment"},
     "experiment": {"model"},
 }
-"""Keys required of a TOML file of each kind; the first kind with all its keys applies."""
+"""Required keys of each kind of TOML file; the first kind whose keys are all present applies."""
 
 FOREIGN_LOG = "log of another program"
-"""Kind of a file written by another program."""
+"""Kind of a data file written by another program."""
 
 USAGE = {
     "mapping": "testbed import {} --out recording.parquet",
@@ -41,19 +41,20 @@ USAGE = {
     "result": "testbed validate RECORDING {}, or testbed sample {}",
     FOREIGN_LOG: "testbed new ROBOT --recording {}",
 }
-"""Command or option that takes a file, by kind."""
+"""Command or option that takes a file, keyed by kind of file."""
 
 LOG_NAMES = re.compile(
     r"\.(csv|tsv|mat|h5|hdf5|bag|db3|mcap|npz|c3d|parquet)(\.gz)?$", re.IGNORECASE
 )
-"""File names of data written by other programs."""
+"""Pattern of the names of data files written by other programs."""
 
 
 def kind_of(path: Path) -> str:
-    """Kind of a file by content, else by name: a key of `USAGE`, or "".
+    """Kind of a file, determined from content or name: a key of `USAGE` or "".
 
-    The content decides by the signature of Parquet, XML tags of models, and keys of results and
-    TOML tables; the name only for logs of other programs. "" for unknown and unreadable files.
+    The content is recognised by the signature of Parquet files, XML tags of models, and keys of
+    results and TOML tables. The name is used only for logs of other programs. The result is "" for
+    unknown and unreadable files.
 
     Args:
         path: The file.
@@ -85,9 +86,9 @@ def kind_of(path: Path) -> str:
 
 
 def kind_of_tables(content: Mapping[str, Any]) -> str:
-    """Kind of a TOML file by the keys of its content; "" if unknown.
+    """Kind of a TOML file, determined from the keys of its content; "" if unknown.
 
-    The first of `REQUIRED_KEYS` of which all keys are present.
+    The result is the first kind of `REQUIRED_KEYS` whose keys are all present.
     """
     return next(
         (kind for kind, keys in REQUIRED_KEYS.items() if keys <= {*content}), ""
@@ -95,7 +96,7 @@ def kind_of_tables(content: Mapping[str, Any]) -> str:
 
 
 def wrong_kind_message(path: Path, kind: str, expected: str) -> str:
-    """Message on a file of the wrong kind, with the option that takes it.
+    """Message about a file of the wrong kind, with the option that takes this kind.
 
     Args:
         path: The file.
@@ -108,13 +109,14 @@ def wrong_kind_message(path: Path, kind: str, expected: str) -> str:
 
 @contextmanager
 def explain_wrong_kind(path: Path, *expected: str) -> Iterator[None]:
-    """Context manager that rewords read errors if the file is of another kind.
+    """Context manager that rewords read errors if the file is of an unexpected kind.
 
-    A `TestbedError` or `OSError` gets the text of `wrong_kind_message` and is raised again.
+    The text of a `TestbedError` or `OSError` is replaced by that of `wrong_kind_message`, and the
+    error is raised again.
 
     Args:
         path: The file.
-        *expected: Kinds that may be read, the usual one first.
+        *expected: Kinds that may be read; the usual kind comes first.
     """
     try:
         yield

@@ -15,17 +15,17 @@ from pathlib import Path
 from typing import Any
 
 TEMPORARY_PREFIX = ".testbed-"
-"""Prefix of the names of temporary folders; the folder of a killed process remains."""
+"""Prefix of the names of temporary folders; a killed process leaves its folder behind."""
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2
-"""AT_FDCWD and RENAME_EXCHANGE of renameat2(2)."""
+"""Constants AT_FDCWD and RENAME_EXCHANGE of renameat2(2)."""
 
 
 class _Replacements(ExitStack):
-    """Complete outputs waiting to replace their targets, with their temporary folders.
+    """Complete outputs that are about to replace their targets, and their temporary folders.
 
     Attributes:
-        waiting: Temporary path, resolved target, and path in the user's words, of each output.
+        waiting: Temporary path, resolved target, and path as written by the user, for each output.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class _Replacements(ExitStack):
 
         Raises:
             OSError: An output cannot be moved, or its target was changed since `check_writable`
-                within `refuse_changed_targets`; the message names the user's path.
+                within `refuse_changed_targets`; the message contains the user's path.
         """
         inodes = [temporary.stat().st_ino for temporary, _, _ in self.waiting]
         states = _CHECKED_STATES.get({})
@@ -72,8 +72,8 @@ _CHECKED_STATES: ContextVar[dict[Path, tuple[int, int] | None]] = ContextVar(
 def refuse_changed_targets() -> Iterator[None]:
     """Context manager that refuses to replace targets changed since `check_writable`.
 
-    A target is changed if its inode or modification time differs, or if it was made or removed; its
-    replacement raises an OSError.
+    A target has changed if its inode or modification time differs, or if it was created or removed.
+    Its replacement then raises an OSError.
     """
     token = _CHECKED_STATES.set({})
     try:
@@ -94,9 +94,10 @@ _DELAYED: ContextVar[_Replacements | None] = ContextVar("_DELAYED", default=None
 
 @contextmanager
 def replace_together() -> Iterator[None]:
-    """Context manager that delays the replacements of all `atomic_output` to its end.
+    """Context manager that delays the replacements by `atomic_output` until the end of its block.
 
-    At the end, all paths are replaced; after an error in the block or in a replacement, no path.
+    At the end, all paths are replaced. After an error in the block or in a replacement, no path is
+    replaced.
 
     Raises:
         OSError: A path cannot be replaced.
@@ -114,20 +115,20 @@ def replace_together() -> Iterator[None]:
 def atomic_output(path: Path, *, folder: bool = False) -> Iterator[Path]:
     """Context manager with a temporary path that replaces `path` if the block succeeds.
 
-    The content is flushed to the disk before the replacement, which `replace_together` delays.
-    Where the file system cannot exchange two folders, the older folder is renamed for an instant.
+    The content is flushed to the disk before the replacement, which `replace_together` can delay.
+    If the file system cannot exchange two folders, the older folder is renamed for a moment.
 
     Args:
-        path: Output; an existing one is replaced only if it is of the same kind.
+        path: Output; an existing path is replaced only if it is of the same kind.
         folder: True for a folder, False for a file.
 
     Yields:
-        Temporary path that does not exist yet. If the block fails, it is removed and `path` is not
-        changed.
+        Temporary path that does not exist yet. If the block fails, the temporary path is removed
+        and `path` is not changed.
 
     Raises:
-        OSError: The target is of the other kind, a device, or not writable; the message names
-            `path`.
+        OSError: The target is of the other kind, is a device, or is not writable; the message
+            contains `path`.
     """
     target = _output_path(path, folder)
     with _Replacements() as immediate:
@@ -148,12 +149,12 @@ def atomic_output(path: Path, *, folder: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def _output_named_in_errors(path: Path, temporary: Path) -> Iterator[None]:
-    """Context manager that replaces a temporary path by the output in messages of OSErrors.
+    """Context manager that replaces a temporary path by the output path in messages of OSErrors.
 
-    Errors of other files and of a broken pipe are raised unchanged.
+    Errors that concern other files or a broken pipe are raised unchanged.
 
     Args:
-        path: Output, as the user wrote it.
+        path: Output, as written by the user.
         temporary: Temporary path of the output.
     """
     try:
@@ -205,7 +206,7 @@ def _exchange(temporary: Path, target: Path) -> None:
 
 
 def _exchange_in_one_step(first: Path, second: Path) -> int:
-    """Exchange two paths by renameat2(2) and return its error number, 0 for none."""
+    """Exchange two paths by renameat2(2); return its error number, or 0 if it succeeds."""
     rename: Any = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if rename is None:
         return errno.ENOSYS
@@ -215,11 +216,11 @@ def _exchange_in_one_step(first: Path, second: Path) -> int:
 
 
 def _exchange_in_steps(temporary: Path, target: Path) -> None:
-    """Exchange two paths by renaming; a folder does not exist for an instant.
+    """Exchange two paths by renaming; for a moment, the target folder does not exist.
 
     Raises:
-        OSError: The exchange failed. Both paths are unchanged, unless restoring fails, too: then
-            NAME-before-PID, beside the target NAME, has the old content.
+        OSError: The exchange failed. Both paths are unchanged unless restoring fails too; in this
+            case, NAME-before-PID next to the target NAME has the old content.
     """
     older = target.with_name(f"{target.name}-before-{os.getpid()}")
     try:
@@ -244,12 +245,12 @@ def check_writable(
 ) -> None:
     """Check before a computation that its outputs can be written.
 
-    A temporary folder is made and removed beside each output. Within `refuse_changed_targets`, the
-    states of the outputs are recorded.
+    A temporary folder is created next to each output and removed again. Within
+    `refuse_changed_targets`, the states of the outputs are recorded.
 
     Args:
         *paths: Outputs; None is skipped.
-        folder: True if the outputs are folders, False for files.
+        folder: True if the outputs are folders, False if they are files.
         read: Inputs, which must not be replaced; None is skipped.
 
     Raises:
@@ -272,14 +273,14 @@ def check_writable(
 def _temporary_folder(target: Path, path: Path) -> Iterator[Path]:
     """Context manager with a temporary folder next to an output.
 
-    Missing parent folders are made, and removed again if they remain empty.
+    Missing parent folders are created, and removed again if they remain empty.
 
     Args:
         target: Resolved path of the output.
-        path: Path of the output, as the user wrote it.
+        path: Path of the output, as written by the user.
 
     Raises:
-        OSError: The folder cannot be made; the message names `path`.
+        OSError: The folder cannot be created; the message contains `path`.
     """
     missing = [each for each in target.parents if not each.exists()]
     hidden = target.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(4)}"
@@ -304,11 +305,11 @@ def _remove_empty(folder: Path) -> None:
 
 
 def _output_path(path: Path, folder: bool) -> Path:
-    """Resolved path of an output: the target of a link, which itself remains.
+    """Resolved path of an output: for a link its target, so that links are kept.
 
     Raises:
-        OSError: The path exists and is of another kind, is the working folder or a folder above, or
-            cannot be resolved.
+        OSError: The path exists and is of another kind, is the working folder or one of its parent
+            folders, or cannot be resolved.
     """
     try:
         target = path.resolve()

@@ -1,4 +1,4 @@
-"""Conversion between columns by name and data frames of other packages."""
+"""Conversion between named columns and data frames of other packages."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from testbed.core.base.errors import SettingsError
 
 FRAME_CLASSES = {"pandas": "DataFrame", "polars": "DataFrame", "pyarrow": "table"}
-"""Class or function that makes a data frame of columns, by package."""
+"""Class or function that creates a data frame from columns, keyed by package."""
 
 
 def data_frame(columns: Mapping[str, Any], package: str | None = None) -> Any:
-    """Data frame of pandas or polars, or Arrow table, of columns.
+    """Data frame of pandas or polars, or Arrow table, created from columns.
 
     Args:
-        columns: Values by column name, (M,) each.
-        package: "pandas", "polars" or "pyarrow"; default the first one that is installed.
+        columns: Values keyed by column name, (M,) each.
+        package: "pandas", "polars" or "pyarrow"; by default the first of these that is installed.
 
     Raises:
         SettingsError: The package is not installed.
@@ -36,14 +36,14 @@ def data_frame(columns: Mapping[str, Any], package: str | None = None) -> Any:
 
 
 def frame_columns(frame: Any) -> dict[str, Any]:
-    """Columns by name of a data frame, an Arrow table, or a mapping.
+    """Columns of a data frame, an Arrow table or a mapping, keyed by name.
 
     Args:
-        frame: Data frame of pandas or polars, Arrow table, or mapping, whose values may have
-            several columns, (M, k).
+        frame: Data frame of pandas or polars, Arrow table, or mapping; the values of a mapping may
+            have several columns, (M, k).
 
     Returns:
-        Arrays of float64 by column name.
+        Arrays of float64, keyed by column name.
 
     Raises:
         SettingsError: The frame is of another type.

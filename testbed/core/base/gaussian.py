@@ -56,7 +56,7 @@ class Gaussian(Summarized):
         return np.where(self.identifiable, spread, np.inf)
 
     def marginal(self, names: Sequence[str]) -> Gaussian:
-        """Marginal distribution of some of the parameters.
+        """Marginal distribution of some parameters.
 
         Args:
             names: Names of these parameters, in the order of the result.
@@ -75,7 +75,7 @@ class Gaussian(Summarized):
     ) -> Gaussian:
         """Distribution of linear combinations of the parameters.
 
-        A combination is unidentifiable if it has a parameter that is not identifiable.
+        A combination is unidentifiable if it contains a parameter that is not identifiable.
 
         Args:
             matrix: Coefficients of the combinations, (k, p).
@@ -94,9 +94,9 @@ class Gaussian(Summarized):
     def conditional(
         self, matrix: Array, values: Array, covariance: ArrayLike = 0.0
     ) -> Gaussian:
-        """Conditional distribution given matrix @ parameters = values + e.
+        """Conditional distribution given `matrix @ parameters = values + e`, with an error e.
 
-        The update of the Kalman filter, with the covariance in Joseph's form.
+        This is the update step of the Kalman filter, with the covariance in Joseph form.
 
         Args:
             matrix: Combinations of identifiable parameters, (k, p).
@@ -134,7 +134,7 @@ class Gaussian(Summarized):
         return SummaryTable(count_with_noun(len(self.names), "parameter"), rows)
 
     def to_frame(self) -> Any:
-        """Data frame of pandas, polars or Arrow with names, values, standard deviations, units."""
+        """Data frame with names, values, standard deviations and units of the parameters."""
         columns = {
             "name": list(self.names),
             "value": self.values.tolist(),

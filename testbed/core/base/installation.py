@@ -12,11 +12,11 @@ DISTRIBUTION = "bedplate"
 
 _PACKAGE_FOLDER = Path(__file__).parents[2]
 _SHIPPED_ROOTS = (_PACKAGE_FOLDER / "shipped", _PACKAGE_FOLDER.parent)
-"""Folders of the shipped files: in an installed package, or beside the package in a clone."""
+"""Folders of the shipped files: in an installed package, or next to the package in a clone."""
 
 
 def installed_version() -> str:
-    """Version of the installed distribution; "not installed" when run from a source tree."""
+    """Version of the installed distribution, or "not installed" when run from a source tree."""
     try:
         return _version(DISTRIBUTION)
     except PackageNotFoundError:
@@ -27,7 +27,7 @@ __version__ = installed_version()
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of Python, testbed and the numerical packages, by name."""
+    """Versions of Python, testbed and the numerical packages, keyed by name."""
     by_package = {"python": platform.python_version(), "testbed": installed_version()}
     for package in ("mujoco", "numpy", "scipy", "pin"):
         try:
@@ -58,7 +58,7 @@ def shipped(name: str | Path) -> Path:
 
 
 def user_or_shipped_file(name: str | Path) -> Path:
-    """Path of the user's file if it exists, else of the shipped file; else `name`."""
+    """Path of the user's file if it exists, otherwise of the shipped file, or `name`."""
     own = Path(name)
     if own.exists():
         return own
@@ -71,8 +71,8 @@ def user_or_shipped_file(name: str | Path) -> Path:
 def _candidate_paths(root: Path, name: PurePath) -> list[Path]:
     """Candidate paths of a shipped file; empty for absolute paths and paths with "..".
 
-    Paths in models/ or experiments/ are taken as they are; other names are tried in this order:
-    experiments/NAME.toml, experiments/NAME, models/NAME.
+    Paths that begin with models/ or experiments/ are used unchanged. Other names are tried in this
+    order: experiments/NAME.toml, experiments/NAME, models/NAME.
 
     Args:
         root: Folder that contains models/ and experiments/.

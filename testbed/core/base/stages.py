@@ -1,4 +1,4 @@
-"""Computing time by stage, and callbacks that report progress."""
+"""Computing time of each processing stage, and callbacks that report progress."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ Progress = Callable[[int, int], None]
 
 
 def ignore_progress(*values: object) -> None:
-    """Ignore progress: default callback."""
+    """Ignore reported progress; this is the default callback."""
 
 
 _stage_seconds: ContextVar[defaultdict[str, float] | None] = ContextVar(
     "seconds", default=None
 )
-"""Seconds by stage of the enclosing `measure_stages` block; None outside a block."""
+"""Seconds keyed by stage in the enclosing `measure_stages` block; None outside a block."""
 _nested_seconds: ContextVar[float] = ContextVar("inside", default=0.0)
-"""Seconds spent so far in stages nested in the current stage."""
+"""Seconds spent so far in stages that are nested in the current stage."""
 
 
 @contextmanager
 def measure_stages() -> Iterator[dict[str, float]]:
-    """Context manager that measures the seconds of each stage run in its block.
+    """Context manager that measures the run time of each stage in its block.
 
     Yields:
-        Seconds by name of the stage, added up by `timed_stage`.
+        Seconds keyed by stage name, summed up by `timed_stage`.
     """
     seconds: defaultdict[str, float] = defaultdict(float)
     token = _stage_seconds.set(seconds)
@@ -43,7 +43,8 @@ def measure_stages() -> Iterator[dict[str, float]]:
 def timed_stage(name: str) -> Iterator[None]:
     """Context manager or decorator that adds its run time to a stage.
 
-    The time of nested stages is counted for these only; outside `measure_stages` no time counts.
+    The time of a nested stage is added only to the nested stage. Outside `measure_stages`, no time
+    is measured.
 
     Args:
         name: Name of the stage.

@@ -1,4 +1,4 @@
-"""Summary tables of values, as plain text and as HTML."""
+"""Tables that summarise values, as plain text and as HTML."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnknownName
 
 MAX_PRINTED_ROWS = 40
-"""Largest number of printed rows; a note counts the rest."""
+"""Largest number of printed rows; a note gives the number of remaining rows."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class SummaryTable:
 
     Attributes:
         title: Title, one line.
-        rows: Cells of each row; rows are of equal length, the first cell is a name.
+        rows: Cells of each row; all rows have the same length, and the first cell is a name.
         notes: Remarks below the table.
     """
 
@@ -31,7 +31,7 @@ class SummaryTable:
 
     @property
     def first_rows(self) -> SummaryTable:
-        """Table of the first `MAX_PRINTED_ROWS` rows, with a note on the rest."""
+        """Table of the first `MAX_PRINTED_ROWS` rows, with a note on the remaining rows."""
         omitted = len(self.rows) - MAX_PRINTED_ROWS
         if omitted <= 0:
             return self
@@ -62,7 +62,7 @@ class SummaryTable:
 
 
 class Value:
-    """Base class of frozen dataclasses: summary table in notebooks, copies with changed fields."""
+    """Base class of frozen dataclasses with a summary table and copies with changed fields."""
 
     @property
     def summary(self) -> SummaryTable:
@@ -72,17 +72,17 @@ class Value:
         return SummaryTable(type(self).__name__, rows)
 
     def _repr_html_(self) -> str:
-        """HTML of the summary, for notebooks."""
+        """HTML text of the summary, for notebooks."""
         return self.summary.html()
 
     def with_(self, **changes: Any) -> Self:
         """Copy of the value with some fields replaced.
 
         Args:
-            **changes: New values, by field name.
+            **changes: New values, keyed by field name.
 
         Raises:
-            UnknownName: There is no such field.
+            UnknownName: A field does not exist.
             TestbedError: The new values are inconsistent.
         """
         field_names = [each.name for each in fields(cast(Any, self)) if each.init]
@@ -95,39 +95,39 @@ class Value:
 
 
 class Summarized(Value):
-    """Value that prints as its summary; a dataclass of this kind needs `repr=False`."""
+    """Value whose text form is its summary; derived dataclasses need `repr=False`."""
 
     def __repr__(self) -> str:
         return self.summary.first_rows.text()
 
     def __str__(self) -> str:
-        """Summary with all rows."""
+        """Plain text of the summary with all rows."""
         return self.summary.text()
 
 
 MIN_DECIMAL_RATIO, MIN_SHORT_DECIMAL_RATIO = 1e-7, 1e-10
-"""Relative sigma below which sigma is printed as a power of ten; the same for the short form."""
+"""Relative sigma below which sigma is printed as a power of ten, for the long and short forms."""
 
 RELATIVE_ROUNDING = 1e-15
-"""Relative sigma below which a value counts as known: rounding of a double."""
+"""Relative sigma below which a value is considered known exactly: float64 rounding."""
 
 NOT_IDENTIFIABLE = "not identifiable"
 UNKNOWN_PLATE_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
-"""Text of a value with infinite sigma: no motion separates it from the plate's zero."""
+"""Text for a value with infinite sigma, which no motion separates from the plate's zero error."""
 
 
 def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
-    """Value and standard deviation as text, with the decimals of two digits of sigma.
+    """Value and standard deviation as text, rounded to two significant digits of sigma.
 
-    Sigma below `MIN_DECIMAL_RATIO` of the value is printed as a power of ten, below
-    `RELATIVE_ROUNDING` it is omitted. Infinite sigma gives "not identifiable", in the long form
-    with the reason; value and sigma below 1e-15 give "0".
+    Sigma is printed as a power of ten if it is below `MIN_DECIMAL_RATIO` times the value, and
+    omitted below `RELATIVE_ROUNDING` times the value. An infinite sigma gives "not identifiable",
+    with the reason in the long form. If value and sigma are below 1e-15, the text is "0".
 
     Args:
         value: Value, in any unit.
-        sigma: Standard deviation; infinite where the value is not identifiable.
-        short: True for 1.06100(90) in place of 1.06100 +- 0.00090: the digits in brackets are those
-            of sigma in the last places.
+        sigma: Standard deviation; infinite if the value is not identifiable.
+        short: True for the form 1.06100(90) instead of 1.06100 +- 0.00090, where the digits in
+            brackets are the standard deviation in units of the last decimal places.
     """
     if math.isinf(sigma):
         return NOT_IDENTIFIABLE if short else UNKNOWN_PLATE_ZERO
@@ -151,7 +151,7 @@ def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
 
 
 def numbers_with_sigma(values: Array, sigma: Array, short: bool = False) -> list[str]:
-    """Texts of values with standard deviations, in row-major order.
+    """Texts of values with their standard deviations, in row-major order.
 
     Args:
         values: Values, of any shape.

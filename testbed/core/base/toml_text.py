@@ -24,10 +24,10 @@ MAX_FILE_BYTES = 1_000_000
 """Largest size of a TOML file [bytes]."""
 
 MAX_QUOTED_LENGTH = 60
-"""Largest number of characters of a quoted value or --set setting in a message."""
+"""Largest number of characters of a value or --set setting that is quoted in a message."""
 
 MAX_KEY_PARTS = 1000
-"""Largest number of parts of a dotted key: the parser's memory grows with its square."""
+"""Largest number of parts of a dotted key; the memory of the parser grows with its square."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -37,7 +37,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 STRICT_TABLE = ConfigDict(
     extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
 )
-"""Pydantic configuration of a frozen table without unknown keys."""
+"""Pydantic configuration of a frozen table that rejects unknown keys."""
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -51,15 +51,15 @@ TOML_TERMS = {
     "a valid integer": "a whole number",
     "a valid number": "a number",
 }
-"""Replacements for pydantic's terms in messages on TOML files."""
+"""Replacements for pydantic's terms in messages about TOML files."""
 
 
 def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
-    """Parse a TOML file and check its kind, not its keys.
+    """Parse a TOML file and check its kind, but not its keys.
 
     Args:
         path: The file.
-        what: Expected kind of the file; files whose kind is not recognised are accepted, too.
+        what: Expected kind of the file; files of unrecognised kind are also accepted.
 
     Raises:
         ExperimentError: The file does not exist, is not TOML, is too large, or is of another kind.
@@ -97,10 +97,11 @@ def apply_settings(content: dict[str, Any], settings: Iterable[str]) -> None:
 
     Args:
         content: Tables, changed in place; missing tables are added.
-        settings: Settings; the value is TOML, or text without quotes.
+        settings: Settings; their values are in TOML syntax, or are text without quotes.
 
     Raises:
-        ExperimentError: A setting has another form, or a table of its key is a value.
+        ExperimentError: A setting is not of the form "table.key=value", or its key refers to a
+            value as if it were a table.
     """
     for setting in settings:
         key, equals, value = setting.partition("=")
@@ -119,7 +120,7 @@ def apply_settings(content: dict[str, Any], settings: Iterable[str]) -> None:
 
 
 def _key_parts(key: str, setting: str) -> list[str]:
-    """Names of a dotted key, without the quotes around names that contain dots.
+    """Parts of a dotted key, without the quotes around parts that contain dots.
 
     Raises:
         ExperimentError: The key is not valid TOML.
@@ -138,10 +139,11 @@ def _key_parts(key: str, setting: str) -> list[str]:
 
 
 def _parse_value(text: str, setting: str) -> Any:
-    """Value parsed as TOML; else the text itself.
+    """Parse a value in TOML syntax; return other text unchanged.
 
     Raises:
-        ExperimentError: The value has a number of thousands of digits, or is nested too deeply.
+        ExperimentError: The value contains a number with thousands of digits, or is nested too
+            deeply.
     """
     try:
         return tomllib.loads(f"value = {text}")["value"]
@@ -152,7 +154,7 @@ def _parse_value(text: str, setting: str) -> Any:
 
 
 def _parser_message(error: Exception) -> str:
-    """Message of an error of the TOML parser, in words for users."""
+    """Message of an error of the TOML parser, reworded for users."""
     if isinstance(error, UnicodeDecodeError):
         return "it is no text"
     is_long_integer = type(error) is ValueError and "integer string conversion" in str(
@@ -172,8 +174,8 @@ def validate_tables(
         source: Name of the source in messages.
 
     Raises:
-        ExperimentError: The tables do not fit the model; the message lists the faults in one line,
-            as in `validation_message`.
+        ExperimentError: The tables do not fit the model; the message lists the errors on one line
+            (`validation_message`).
     """
     try:
         return model.model_validate_json(json.dumps(content, default=str))
@@ -188,7 +190,8 @@ def validate_tables(
 def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
     """Message that lists the first validation errors, with suggestions for unknown keys.
 
-    The first unknown key precedes all other errors. Errors beyond 270 characters are counted only.
+    The first unknown key precedes all other errors. If the message exceeds 270 characters, only the
+    number of the remaining errors is given.
 
     Args:
         error: Errors of pydantic.
@@ -224,9 +227,10 @@ def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def _unknown_key_message(model: type[BaseModel], tables: list[str], key: str) -> str:
-    """Message on an unknown key, with suggestions.
+    """Message about an unknown key, with suggestions.
 
-    A key outside all tables: the tables that have such a key; else similar keys of its own table.
+    For a key outside all tables, the message lists the tables that have this key; otherwise, it
+    suggests similar keys of the same table.
 
     Args:
         model: Pydantic model of the file.
@@ -245,7 +249,7 @@ def _unknown_key_message(model: type[BaseModel], tables: list[str], key: str) ->
 
 
 def _known_keys(model: Any, tables: list[str]) -> tuple[str, ...]:
-    """Known keys of a nested table; empty if its type is no table.
+    """Known keys of a nested table; empty if its type is not a table.
 
     Args:
         model: Pydantic model of the file.
@@ -264,13 +268,13 @@ def _known_keys(model: Any, tables: list[str]) -> tuple[str, ...]:
 
 
 def _without_none(annotation: Any) -> Any:
-    """Type of an optional table: WrenchTable for WrenchTable | None."""
+    """Type of an optional table, such as WrenchTable for WrenchTable | None."""
     arguments = getattr(annotation, "__args__", ())
     types = [each for each in arguments if each is not type(None)]
     return types[0] if len(types) < len(arguments) else annotation
 
 
 def _value_type(annotation: Any) -> Any:
-    """Type of the values of a mapping: Bound for dict[str, Bound]."""
+    """Type of the values of a mapping, such as Bound for dict[str, Bound]."""
     arguments = getattr(annotation, "__args__", ())
     return arguments[-1] if arguments else None

@@ -1,8 +1,9 @@
 """Rigid transforms of points, wrenches and twists, in monogram notation.
 
-X_AB is the pose of frame B in frame A: R_AB maps components along B's axes to components along A's,
-p_AB_A is the vector from A's origin to B's along A's axes. F_B is a wrench about B's origin along
-B's axes, force first; V_B is the twist of B's origin, linear part first.
+X_AB is the pose of frame B in frame A: R_AB maps components along the axes of B to components along
+the axes of A, and p_AB_A is the vector from the origin of A to the origin of B, along the axes of
+A. F_B is a wrench about the origin of B along the axes of B, force first; V_B is the twist at the
+origin of B, linear part first.
 
 Source    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 2
 """
@@ -62,7 +63,8 @@ class Transform:
     def wrench(self, F_B: AnyArray) -> AnyArray:
         """Wrenches in frame A from wrenches F_B in frame B, (..., 6) [N, N m].
 
-        Force first, components along the axes of the frame, moment about its origin.
+        Wrenches are force first, with components along the axes of the frame and the moment about
+        its origin.
         """
         force = multiply_vectors(self.R_AB, F_B[..., :3])
         moment = multiply_vectors(self.R_AB, F_B[..., 3:]) + np.cross(

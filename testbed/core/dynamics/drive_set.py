@@ -1,10 +1,10 @@
 """Minimal set of bodies, joints and drive shafts, with redundant terms eliminated.
 
-Terms of single joints are grouped exactly (`parameters.joint_terms`). A shaft that turns with
-several joints adds to the torques of all of them. Whether its column depends linearly on the others
-is a matter of the geometry, too, and tested by least squares at random states: the inertia of two
-joints with parallel axes may be that of a body, the friction of a differential's two shafts that of
-its joints.
+Terms of single joints are regrouped exactly (`parameters.joint_terms`). A shaft that turns with
+several joints adds to the torques of all these joints. Linear dependence of its regressor column on
+the other columns is tested by least squares at random states. For example, the inertia of a shaft
+that drives two joints with parallel axes can be indistinguishable from the inertia of a body, and
+the friction of the two shafts of a differential from the friction of its joints.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from testbed.core.robot.tree import Tree
 
 
 def random_states(tree: Tree, seed: int = 0) -> Motion:
-    """Random states, enough to identify all identifiable parameters.
+    """Random joint states, enough to identify all identifiable parameters.
 
-    25 + 4 n states, uniform: positions within pi rad or 1 m, velocities and accelerations within 3.
-    The first state is rest at q = 0.
+    The 25 + 4 n states are uniformly distributed: positions between -pi and pi rad (or -1 and 1 m),
+    velocities and accelerations between -3 and 3. The first state is at rest at q = 0.
 
     Args:
         tree: The robot.
@@ -47,8 +47,8 @@ def make_drive_set(
 ) -> DriveSet:
     """Minimal set of the parameters of bodies, joints and shafts, from geometry alone.
 
-    A shaft's term becomes an unknown unless its torques at random states are a linear combination
-    of those of earlier unknowns.
+    A term of a shaft becomes an unknown unless its torques at random states are a linear
+    combination of the torques of earlier unknowns.
 
     Args:
         tree: The robot; only its geometry and its shafts matter.
@@ -99,7 +99,7 @@ def make_drive_set(
 
 
 def _linear_combination(columns: Array, column: Array) -> tuple[Array, float]:
-    """Coefficients of a column on other columns by least squares, and the relative residual.
+    """Least-squares coefficients of a column on other columns, and the relative residual.
 
     Args:
         columns: The other columns, (k, p).

@@ -1,26 +1,25 @@
 """Derivatives of base wrench and joint torques with respect to joint, frame and base displacements.
 
-One outward and one inward recursion give all derivatives, in place of differences of many inverse
-dynamics. All quantities are about the bedplate's origin, in its axes. A displacement along the
-screw s moves all bodies that joint j carries. With the screws v and a of the velocity and
-acceleration (less gravity) of the body before it, and the composite W, I and B of all carried
-bodies,
+One outward and one inward recursion give all derivatives, without finite differences. All
+quantities are about the bedplate's origin, along its axes. A displacement along the screw s moves
+all bodies that joint j carries. Let v and a be the velocity and the acceleration (minus gravity) of
+the body before joint j, as screws, and W, I and B the sums over all carried bodies. Then
 
     psi = v x s        dW/dq   = s x* W + I phi + B psi
     phi = a x s        dW/dq'  = B s + 2 I psi
         + v x psi      dW/dq'' = I s
 
-W is the wrench, I the inertia, and B the Coriolis matrix, the sum over bodies of
+where W is the wrench, I the inertia, and B the Coriolis matrix, the sum over bodies of
 
     (2 w x p,  -2 v_w x J w + 2 (h . v_u) w - 2 v_u (h . w))
 
-where w is the angular part of a screw, p a body's momentum, h its first moment, and J its integral
-of r r'. A torque is the component of W along the screw s_i of its joint. For a joint before the
-displacement, dW is that above; for a joint behind it, whose screw moves too, it is I phi + B psi
-and so on with the composite I and B of joint i.
+Here w is the angular part of a screw, p the momentum of a body, h its first moment, and J its
+integral of r r'. A torque is the component of W along the screw s_i of its joint i. For a joint
+before the displacement, dW is given above; for a joint behind it, whose screw moves too, dW is
+I phi + B psi (and so on) with I and B of the bodies that joint i carries.
 
-A screw is its angular and its linear part, a wrench its force and its moment, (6, m): the values of
-all instants are contiguous, a few hundred calls for any number of instants.
+Screws (angular part first) and wrenches (force first) are arrays (6, m) with contiguous values of
+the m instants, so the number of NumPy calls does not depend on m.
 
 Source    [SRW22] eqs. of the derivatives in joint space, and summed to the base
 """
@@ -48,10 +47,10 @@ BLOCK_INSTANTS = 2048
 
 @dataclass(frozen=True, eq=False)
 class ForceGradients:
-    """Derivatives of C forces with respect to D displacements, (M, C, D) [N, N m per rad, m].
+    """Derivatives of C forces or torques with respect to D displacements, (M, C, D).
 
     Attributes:
-        position: Derivatives with respect to the displacements.
+        position: Derivatives with respect to the displacements [N or N m, per rad or m].
         velocity: Derivatives with respect to the rates of the displacements [s].
         acceleration: Derivatives with respect to their second time derivatives [s^2].
     """
@@ -61,7 +60,7 @@ class ForceGradients:
     acceleration: Array
 
     def force_changes(self, displacement: Array, rate: Array, second: Array) -> Array:
-        """Changes of the forces by each displacement, for k time histories, (M, C, D, k).
+        """Changes of the forces due to each displacement, for k time histories, (M, C, D, k).
 
         Args:
             displacement: Displacements, (M, D, k) [rad or m].
@@ -86,16 +85,16 @@ class ForceGradients:
 class ForceDerivatives:
     """Base wrench and joint torques of a motion, and derivatives with respect to displacements.
 
-    The first n displacements are those of the joints. With `frames`, five per joint frame follow,
-    along the three axes of the frame at q = 0 and about two axes normal to the joint axis; then six
-    of the base, along and about the bedplate's axes.
+    The first n displacements are those of the joints. With `frames`, five displacements of each
+    joint frame follow (along its three axes at q = 0, and about two axes normal to the joint axis),
+    then six displacements of the base, along and about the bedplate's axes.
 
     Attributes:
         wrench: Wrench on the robot, in the frame of the bedplate or the sensor, (M, 6) [N, N m].
         torque: Joint torques, (M, n) [N m or N].
         wrench_slopes: Derivatives of the wrench.
         torque_slopes: Derivatives of the torques.
-        screws: Screws of the joints, angular and linear part, bedplate frame, (M, n, 6).
+        screws: Screws of the joints in the bedplate frame, angular part first, (M, n, 6).
         origins: Origins of the body frames, bedplate frame, (M, n, 3) [m].
         carrier_mask: Element (i, j) is True if joint j carries body i, (n, n).
     """
@@ -132,7 +131,7 @@ def force_derivatives(
         tree: The robot; only its geometry matters.
         motion: M samples, columns in the order of `tree.names`.
         theta: Barycentric parameters, (n, 10).
-        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default the model file's.
+        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default from the model.
         frames: True to include displacements of the joint frames and of the base.
     """
     bodies = list(
@@ -284,7 +283,7 @@ def _torque_slopes(
     displacements: list[_Displacement],
     slopes: Array,
 ) -> Array:
-    """Derivatives of the torques, (3, m, n, D); `slopes` are of the wrenches, (3, 6, m, D)."""
+    """Derivatives of the torques, (3, m, n, D), from `slopes` of the wrenches, (3, 6, m, D)."""
     axes = np.stack([at.screw for at in states])
     inertia = np.stack([c.inertia(s) for c, s in zip(composite, axes, strict=True)])
     coriolis = np.stack([c.dual(s) for c, s in zip(composite, axes, strict=True)])
@@ -315,7 +314,7 @@ def _torque_slopes(
 
 
 def _carrier_mask(tree: Tree) -> NDArray[np.bool_]:
-    """Mask (n, n + 1): joint j is or carries joint i; the base column is False."""
+    """Mask of the joints that carry or equal each joint, (n, n + 1); base column False."""
     carried = np.eye(tree.n, tree.n + 1, dtype=np.bool_)
     for i in range(tree.n):
         if tree.parents[i] >= 0:
@@ -329,7 +328,7 @@ def _component(screw: Array, wrench: Array) -> Array:
 
 
 def _sensor_pose(tree: Tree, states: list[_BodyState]) -> Transform:
-    """Pose X_WS of the tree's sensor; m poses if the base moves."""
+    """Pose X_WS of the tree's sensor in the bedplate frame; m poses for moving bases."""
     assert tree.sensor is not None
     if not tree.lead:
         return tree.sensor.X_BS
@@ -346,7 +345,7 @@ class _BodyState:
         p_WB: Origin of the body frame in the bedplate frame, (3, m) [m].
         screw: Screw of the body's joint, (6, m).
         velocity: Velocity as a screw, (6, m).
-        acceleration: Acceleration less gravity as a screw, (6, m).
+        acceleration: Acceleration minus gravity, as a screw, (6, m).
     """
 
     R_WB: Array
@@ -359,7 +358,7 @@ class _BodyState:
 def _body_states(
     tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array
 ) -> list[_BodyState]:
-    """Motion of every body, then of the bedplate, for coordinates (n, m)."""
+    """Motion of every body and, last, of the bedplate, for joint coordinates (n, m)."""
     zeros, zero_screws = np.zeros((3, q.shape[1])), np.zeros((6, q.shape[1]))
     identity = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, q.shape[1]))
     minus_gravity = np.concatenate([zeros, zeros - gravity[:, None]])
@@ -392,7 +391,7 @@ def _pose(joint: Joint, carrier: _BodyState, q: Array) -> tuple[Array, Array, Ar
 
 @dataclass(eq=False)
 class _Composite:
-    """Composite body at m instants: a body with all bodies that it carries.
+    """Composite body at m instants: a body together with all bodies that it carries.
 
     Attributes:
         mass: Mass [kg].
@@ -400,7 +399,7 @@ class _Composite:
         second: Integral J of r r', (3, 3, m) [kg m^2].
         momentum: Linear momentum p, (3, m) [kg m/s].
         coupling: Block of B from the angular part of a screw to the moment, (3, 3, m) [kg m^2/s].
-        wrench: Wrench that moves the bodies, (6, m).
+        wrench: Wrench required for the motion, including gravity, (6, m) [N, N m].
     """
 
     mass: float
@@ -412,7 +411,7 @@ class _Composite:
 
     @classmethod
     def from_body(cls, body: Inertia, state: _BodyState) -> _Composite:
-        """Build the composite of a single body."""
+        """Build the composite body that contains a single body."""
         mass = body.mass
         h = body.first_moment @ state.R_WB
         turned = body.pseudo[:3, :3] @ state.R_WB
@@ -458,7 +457,7 @@ class _Composite:
         return np.concatenate([angular, np.zeros_like(angular)])
 
     def add(self, other: _Composite) -> None:
-        """Add another composite."""
+        """Add the bodies of another composite body."""
         self.mass += other.mass
         self.wrench = self.wrench + other.wrench
         self.first += other.first
@@ -468,7 +467,7 @@ class _Composite:
 
 
 def _accumulate_composites(tree: Tree, composite: list[_Composite]) -> _Composite:
-    """Add each body to its carrier, in place; return the composite of the whole robot."""
+    """Add each composite body to its carrier, in place; return the composite of the robot."""
     count = composite[0].first.shape[1]
     vector, matrix = np.zeros((3, count)), np.zeros((3, 3, count))
     wrench = np.zeros((6, count))

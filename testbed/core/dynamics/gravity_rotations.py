@@ -25,8 +25,9 @@ RELATIVE_TOLERANCE = 1e-6
 def gravity_rotation_diagnostic(tree: Tree, minimal: MinimalSet) -> Diagnostic:
     """Diagnose small rotations of gravity that joint torques do not identify.
 
-    The diagnostic lists their axes, and the parameters or joint zeros with the same effect. Effects
-    on the torques are compared by projection, for random bodies at random states.
+    The diagnostic lists the axes of these rotations, and the parameters or joint zeros that have
+    the same effect on the torques. Effects are compared by orthogonal projection, for random bodies
+    at random states.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -60,7 +61,7 @@ def _null_axes(columns: Array, tolerance: float) -> Array:
 
     Args:
         columns: The columns, (T, 3).
-        tolerance: Singular values up to this count as zero.
+        tolerance: Largest singular value that is treated as zero.
     """
     from scipy.linalg import qr, svd
 
@@ -75,10 +76,12 @@ def _null_axes(columns: Array, tolerance: float) -> Array:
 def _effects(tree: Tree, minimal: MinimalSet) -> tuple[Array, Array, Array]:
     """Derivatives of T torques with respect to rotations of gravity, parameters and joint zeros.
 
-    Torques of random bodies at random states; at rest for rotations of gravity.
+    The torques are those of random bodies at random states; for rotations of gravity, the bodies
+    are at rest.
 
     Returns:
-        Derivatives, (T, 3), (T, N) and (T, n).
+        Derivatives with respect to the three rotations, (T, 3), the N minimal parameters, (T, N),
+        and the n joint zeros, (T, n).
     """
     states, gravity = random_states(tree), minimal.gravity
     bodies = np.random.default_rng(0).normal(size=(tree.n, 10, 1))
@@ -101,7 +104,7 @@ def _effects(tree: Tree, minimal: MinimalSet) -> tuple[Array, Array, Array]:
 
 
 def _projection_residuals(effects: Array, others: Array) -> Array:
-    """Residuals of effects after projection on the span of other columns.
+    """Residuals of effects after projection onto the span of other columns.
 
     Args:
         effects: Effects on T torques, (T,) or (T, k).

@@ -65,7 +65,7 @@ class Motion(Value):
 
 
 Substitution = Callable[[str, AnyArray], AnyArray]
-"""Function of the name of an intermediate, such as "w3", and its value, which it replaces."""
+"""Function of the name and value of an intermediate result, such as "w3"; returns a new value."""
 
 
 def keep_value(name: str, value: AnyArray) -> AnyArray:
@@ -75,7 +75,7 @@ def keep_value(name: str, value: AnyArray) -> AnyArray:
 
 
 class LinkGeometry(Protocol):
-    """Geometry of a joint: that of a `Joint`, or with symbols for lengths and axes."""
+    """Geometry of a joint: a `Joint`, or symbolic lengths and axes."""
 
     @property
     def parent(self) -> int:
@@ -91,7 +91,7 @@ class LinkGeometry(Protocol):
 
     @property
     def offset(self) -> AnyArray:
-        """Position of the joint's attachment point relative to O^i, frame i, (3,) [m]."""
+        """Position of the joint's attachment point relative to O^i, in frame i, (3,) [m]."""
 
     @property
     def rotation(self) -> AnyArray:
@@ -99,7 +99,7 @@ class LinkGeometry(Protocol):
 
 
 class TreeGeometry(Protocol):
-    """Geometry of a tree: that of a `Tree`, or with symbols for lengths and axes."""
+    """Geometry of a tree: a `Tree`, or symbolic lengths and axes."""
 
     @property
     def n(self) -> int:
@@ -121,7 +121,7 @@ class BodyMotion:
         w: Angular velocity, (..., 3) [rad/s].
         wd: Angular acceleration, (..., 3) [rad/s^2].
         W: Matrix wd~ + w~ w~ with w~ v = w x v, (..., 3, 3) [1/s^2].
-        a: Acceleration of the frame's origin O^j less gravity, xdd^j - g, (..., 3) [m/s^2].
+        a: Acceleration of the frame's origin O^j minus gravity, xdd^j - g, (..., 3) [m/s^2].
     """
 
     R_PB: AnyArray
@@ -149,7 +149,7 @@ def forward_recursion(
         qd: Joint velocities, (..., n).
         qdd: Joint accelerations, (..., n).
         gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
-        substitute: Function applied to each intermediate, such as a symbol for an expression.
+        substitute: Function that replaces each intermediate result, for example by a symbol.
     """
     zeros = np.zeros((*q.shape[:-1], 3), dtype=q.dtype)
     zero_matrices = np.zeros((*q.shape[:-1], 3, 3), dtype=q.dtype)
@@ -196,12 +196,12 @@ def _body_motion(
 
     Args:
         joint: Geometry of the joint.
-        j: Index of the body, for the names of intermediates.
+        j: Index of the body, for the names of intermediate results.
         carrier: Motion of body i.
         q: Joint position, (...).
         qd: Joint velocity, (...).
         qdd: Joint acceleration, (...).
-        substitute: Function applied to each intermediate.
+        substitute: Function that replaces each intermediate result.
     """
     e, number = joint.axis, str(j + 1)
     R_PB = _rotation(joint, q)
@@ -237,8 +237,8 @@ def _scaled_vectors(e: AnyArray, scalar: AnyArray) -> AnyArray:
 def _rotation(joint: LinkGeometry, q: AnyArray) -> AnyArray:
     """Rotation R_PB from the body frame to the carrier frame, (..., 3, 3).
 
-    It is A Rot(e, q) with Rot(e, q) = e e' + c (1 - e e') + s e~ for a revolute joint, A for a
-    prismatic joint.
+    R_PB is A Rot(e, q) for a revolute joint and A for a prismatic joint, where A is the rotation at
+    q = 0 and Rot(e, q) = e e' + cos(q) (1 - e e') + sin(q) e~.
     """
     if not joint.revolute:
         fixed = np.broadcast_to(joint.rotation, (*np.shape(q), 3, 3))
@@ -264,14 +264,14 @@ def backward_recursion(
         tree: Geometry of the robot.
         motions: Motion of each body.
         theta: Barycentric parameters mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz, (n, 10, p).
-        substitute: Function applied to each intermediate.
+        substitute: Function that replaces each intermediate result.
         sensor: Placement of the force sensor; None for the bedplate.
         base: Index of the body that carries the sensor, -1 for the bedplate.
 
     Returns:
-        Joint forces Q, exerted by the motors, (..., n, p) [N m or N], and the wrench of the
-        bedplate on the robot about O^0 in bedplate axes, force first, (..., 6, p) [N, N m]; with a
-        sensor, the wrench about its origin in its axes.
+        Joint forces Q, exerted by the motors, (..., n, p) [N m or N]; and the wrench of the
+        bedplate on the robot about O^0 along the bedplate's axes, force first, (..., 6, p)
+        [N, N m], or with a sensor the wrench about the sensor's origin along its axes.
     """
     sample_shape, p = motions[0].w.shape[:-1], theta.shape[-1]
     dtype = np.result_type(motions[0].w.dtype, theta.dtype)
@@ -360,8 +360,8 @@ def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
 def body_regressor(body: BodyMotion) -> AnyArray:
     """Regressor of the wrench about O^j that moves one augmented body, (..., 6, 10).
 
-    Columns are those of mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz; force first, axes of frame j.
-    Newton-Euler equations, linear in the barycentric parameters:
+    The columns belong to mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz; the rows are force, then moment,
+    along the axes of frame j. The Newton-Euler equations are linear in these parameters:
         F = mbar a + W mb
         L = mb x a + K wd + w x K w
     """
@@ -400,8 +400,9 @@ def joint_forces(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -
 def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
     """Wrench of the bedplate on the moving bodies, (M, 6) [N, N m].
 
-    Force first, bedplate axes, moment about O^0; the pedestal is not included. For a tree with a
-    force sensor, the sensor's wrench about its origin in its axes. [FRS96] eqs. (6), (7).
+    Force first, along the bedplate's axes, moment about O^0; the pedestal is not included. For a
+    tree with a force sensor, the wrench is that of the sensor, about its origin and along its axes.
+    [FRS96] eqs. (6), (7).
 
     Args:
         tree: The robot.
@@ -416,9 +417,9 @@ def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) ->
 def parameter_regressor(
     tree: Tree, motion: Motion, model: Signal, gravity: ArrayLike | None = None
 ) -> Array:
-    """Regressor on all barycentric parameters, (M, n or 6, 10 n).
+    """Regressor of joint forces or base wrench on all barycentric parameters, (M, n or 6, 10 n).
 
-    Body by body in the order mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz.
+    Columns are in the order mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz, body by body.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -435,7 +436,7 @@ def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
     """Static wrench that the bedplate or the force sensor exerts on the pedestal, (6,) [N, N m].
 
     The pedestal is the part of the robot that does not move; a force sensor may carry some of it.
-    Force first, about the bedplate's origin in its axes; for a sensor in the sensor's frame.
+    The wrench is force first, in the frame of the bedplate or of the sensor.
 
     Args:
         tree: The robot.
@@ -457,8 +458,9 @@ def linear_inverse_dynamics(
 ) -> tuple[Array, Array]:
     """Joint forces, (M, n, p), and base wrench, (M, 6, p), for p sets of parameters.
 
-    Inverse dynamics is linear in the parameters: the columns may be robots, or directions of a
-    regressor. Frames and signs are those of `joint_forces` and `base_wrench`.
+    Inverse dynamics is linear in the parameters, so a column of `theta` may be the parameters of a
+    robot or a direction in parameter space. Frames and signs are as in `joint_forces` and
+    `base_wrench`.
 
     Args:
         tree: The robot; only its geometry matters.

@@ -34,8 +34,8 @@ class RowSpace:
 
     Attributes:
         rows: Orthonormal basis, (rank, 10 n).
-        gap: Ratio of the smallest retained to the largest dropped singular value: clearness of the
-            numerical rank.
+        gap: Ratio of the smallest retained to the largest dropped singular value; a large ratio
+            means a clear numerical rank.
     """
 
     rows: Array
@@ -53,8 +53,9 @@ def row_space(
     """Row space of a matrix by singular value decomposition.
 
     Args:
-        rows: Matrix, (k, 10 n); rows are not rescaled, so that rounding of zero stays small.
-        tolerance: Relative size below which singular values count as zero.
+        rows: Matrix, (k, 10 n); its rows are not rescaled, so that rounding errors of zero rows
+            stay small.
+        tolerance: Relative size below which singular values are treated as zero.
         known_zero: Mask of parameters known to be zero, (n, 10), whose columns are set to zero;
             default none.
     """
@@ -91,7 +92,7 @@ def recursion_row_space(
     tared: bool = False,
     known_zero: NDArray[np.bool_] | None = None,
 ) -> RowSpace:
-    """Row space of the identifiable parameter combinations, by the exact recursion.
+    """Row space of the identifiable parameter combinations, computed by the exact recursion.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -124,11 +125,11 @@ def recursion_row_space(
 def _barycentric_functionals(
     tree: Tree, functionals: list[Array], static: Array, base: int = -1
 ) -> Array:
-    """Functionals of composite bodies as functionals of barycentric parameters, (k, 10 n).
+    """Convert functionals of composite bodies to functionals of barycentric parameters, (k, 10 n).
 
     Args:
         tree: The robot.
-        functionals: Functionals of each composite body's ten parameters, (k_j, 10).
+        functionals: Functionals of the ten parameters of each composite body, (k_j, 10).
         static: Functionals of the whole robot that the static wrench determines, (k, 10).
         base: Index of the body that carries the sensor; -1 for the bedplate.
     """
@@ -160,7 +161,8 @@ def _standard_from_barycentric(tree: Tree) -> Array:
 def _static_functionals(gravity: Array) -> Array:
     """Functionals determined by the static wrench of the bedplate, (3, 10) or (0, 10).
 
-    They are the mass and the two first moments normal to gravity; none without gravity.
+    They are the mass and the two first moments normal to gravity. Without gravity, the static
+    wrench determines no functional.
     """
     if not gravity.any():
         return np.zeros((0, 10))
@@ -171,7 +173,7 @@ def _static_functionals(gravity: Array) -> Array:
 
 
 RANK_TOLERANCE = 1e-10
-"""Relative size below which singular values of a sampled regressor count as zero."""
+"""Relative size below which singular values of a sampled regressor are treated as zero."""
 
 
 MIN_GAP = 1e3
@@ -179,11 +181,11 @@ MIN_GAP = 1e3
 
 
 MAX_ANGLE_SINE = 1e-7
-"""Largest sine of the angle between two row spaces that count as equal."""
+"""Largest sine of the angle between two row spaces that are considered equal."""
 
 
 MAX_MODEL_CHANGE = 1e-8
-"""Largest relative change of the model by regrouping; rounded angles of files cause most of it."""
+"""Largest relative change of the model by regrouping, caused mostly by rounded angles in files."""
 
 
 @dataclass(frozen=True)
@@ -192,17 +194,18 @@ class Agreement:
 
     Attributes:
         model: "torque" or "wrench".
-        rules: Number of parameters by the rules of [FRS96] Tables 2-5.
-        recursion: Number of parameters by the exact recursion.
+        rules: Number of parameters found by the rules of [FRS96] Tables 2-5.
+        recursion: Number of parameters found by the exact recursion.
         sampled: Rank of a sampled regressor.
         recursion_distance: Sine of the largest angle between the row spaces of rules and recursion.
         sampled_distance: Sine of the largest angle between the row spaces of rules and sampled
             regressor.
-        gap: Ratio of retained to dropped singular values of the sampled regressor.
+        gap: Ratio of the smallest retained to the largest dropped singular value of the sampled
+            regressor.
         change: Largest relative change of the model when eliminated parameters are set to zero and
-            redefined ones are used.
-        inverse: Largest element of S lift - 1, with the minimal set's matrix S and its right
-            inverse, lift.
+            redefined parameters are used.
+        inverse: Largest element of S lift - 1, where S is the matrix of the minimal set and `lift`
+            its right inverse.
     """
 
     model: Signal
@@ -219,8 +222,8 @@ class Agreement:
     def agrees(self) -> bool:
         """True if all row spaces agree, the sampled rank is clear and the model unchanged.
 
-        The sampled row space is known to 1 / gap only; the change of the model by regrouping is a
-        stricter criterion.
+        The sampled row space is accurate only to 1 / gap; the change of the model due to regrouping
+        is a stricter criterion.
         """
         recursion_agrees = self.recursion_distance <= MAX_ANGLE_SINE
         sampling_agrees = self.sampled_distance <= max(MAX_ANGLE_SINE, 1.0 / self.gap)
@@ -247,7 +250,7 @@ def sampled_regressor(
         tree: The robot; only its geometry matters.
         model: "torque" for joint torques, "wrench" for the bedplate's wrench.
         gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default the model file's.
-        tared: True to subtract the rows of the robot at rest at q = 0.
+        tared: True to subtract the regressor rows of the robot at rest at q = 0.
     """
     rows = parameter_regressor(tree, random_states(tree), model, gravity)
     return (rows - rows[:1] if tared else rows).reshape(-1, 10 * tree.n)
@@ -256,7 +259,7 @@ def sampled_regressor(
 def verify_minimal_set(tree: Tree, minimal: MinimalSet) -> Agreement:
     """Compare a minimal set with the exact recursion and the rank of a sampled regressor.
 
-    Parameters known to be zero are zero in all three.
+    Parameters known to be zero are set to zero in all three.
 
     Args:
         tree: The robot.
@@ -294,7 +297,7 @@ class DriveAgreement:
     """Comparison of a minimal set of bodies and drives with sampled columns.
 
     Attributes:
-        count: Number of unknowns by `make_drive_set`.
+        count: Number of unknowns found by `make_drive_set`.
         sampled: Rank of the sampled regressor together with the columns of the joint terms.
         gap: Ratio of the smallest retained to the largest dropped singular value.
         change: Largest relative difference between these columns and their reconstruction from the

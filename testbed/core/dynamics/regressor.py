@@ -11,7 +11,8 @@ from testbed.core.robot.tree import Tree
 def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
     """Regressor phi on minimal parameters delta: phi delta = joint forces or base wrench.
 
-    [FRS96] eqs. (10), (12). Takes 48 or 8 n bytes per sample and parameter: for small M and tests.
+    [FRS96] eqs. (10), (12). The array has 8 n bytes (torques) or 48 bytes (wrench) per sample and
+    parameter, so this function is meant for small M and for tests.
 
     Args:
         tree: The robot; only its geometry matters.

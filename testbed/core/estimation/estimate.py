@@ -43,7 +43,7 @@ ROBOT_SENSOR_LABEL = "force sensor"
 
 
 def robot_sensor_label(tree: Tree) -> str:
-    """Label of the robot's force sensor in texts; "" for the force plate.
+    """Display label of the robot's force sensor, or "" for the force plate.
 
     Args:
         tree: Robot whose wrench is measured.
@@ -56,7 +56,7 @@ def instrument_label(minimal: MinimalSet, method: Signal) -> str:
 
     Args:
         minimal: Minimal set.
-        method: Method of its estimate.
+        method: Method of the estimate.
     """
     return ROBOT_SENSOR_LABEL if minimal.of_sensor else METHOD_LABELS[method]
 
@@ -101,7 +101,8 @@ def non_negligible_residuals(
         residual: Rms residual of each channel, (C,) [N, N m]; nan for a channel without samples.
         signal: Rms measurement of each channel, (C,) [N, N m]; nan for a channel without samples.
         units: Unit of each channel.
-        negligible_fraction: Largest negligible residual, relative to that signal.
+        negligible_fraction: Largest negligible residual, relative to the largest signal of its
+            unit.
     """
     like = [[other == unit for other in units] for unit in units]
     largest = [np.nan_to_num(signal[same]).max() for same in like]
@@ -127,8 +128,9 @@ class TermEstimate:
 
     Attributes:
         law: Law of the joint torque.
-        joint: Name of the joint, or of the shaft that several joints turn.
-        name: `kind/JOINT`, such as "coulomb/elbow", followed by terms that are regrouped with it.
+        joint: Name of the joint, or of a shaft coupled to several joints.
+        name: `kind/JOINT`, such as "coulomb/elbow", followed by the names of any terms regrouped
+            with it.
         unit: Unit of the coefficient.
         value: Value of the coefficient.
         sigma: Standard deviation of the coefficient.
@@ -151,15 +153,15 @@ class TermEstimate:
 class EstimateSummary(Gaussian):
     """Estimate by one method, without normal equations and diagnostics.
 
-    Parameters are the minimal parameters, followed for joint torques by the coefficients of the
-    joint laws. Parameters that no motion separates from an unknown bias of the plate are marked
-    unidentifiable: their values and covariance hold only together with that bias.
+    The parameters are the minimal parameters; for joint torques, the coefficients of the joint laws
+    follow. Parameters that no motion can separate from an unknown plate bias are marked
+    unidentifiable; their values and covariance hold only together with that bias.
 
     Attributes:
         method: "wrench" (force plate) or "torque" (joint torques).
         gravity: Assumed gravity, (3,) [m/s^2], bedplate frame.
-        residual: Rms residual of each channel, (C,) [N, N m]; about the mean for channels with an
-            estimated constant.
+        residual: RMS residual of each of the C channels, (C,) [N, N m]; relative to its mean for
+            channels with an estimated constant offset.
         nuisances: Coefficients of sensor errors estimated together with the parameters.
         settings: Settings of the estimate, including terms and filters chosen from the data.
         correction: Coefficients of the model errors subtracted from the measurements, which
@@ -195,19 +197,19 @@ class Estimate(Diagnosed, EstimateSummary):
         condition: Condition number of the weighted equations with columns of unit length.
         normal_equations: Normal equations of all rows, channel by channel.
         diagnostics: Warnings and errors about data and estimate.
-        minimal: Minimal set of the bodies, whose parameters are the first ones.
+        minimal: Minimal set of the bodies, whose parameters come first.
         drives: Minimal set with the joint laws, for joint torques; None for the plate.
         joints: Names of the joints.
         noise: Noise model of the residuals; None for white noise.
         nuisance_covariance: Covariance of the coefficients of sensor errors, (s, s).
-        choice: Joint laws chosen by cross-validation, and the evidence; None for stated laws.
-        measured_equations: Normal equations of the rows as measured, where model errors were
-            subtracted for `normal_equations`; else None.
+        choice: Joint laws chosen by cross-validation, with the evidence; None for stated laws.
+        measured_equations: Normal equations of the uncorrected measurements, if model errors were
+            subtracted in `normal_equations`; else None.
         model_errors: Model errors detected in the residuals, the most significant first.
         repeatable: Part of the residuals that repeats with the motion; None if not
             determined.
-        model_error_effect: Contribution of the model errors to the covariance, which includes it;
-            None for none.
+        model_error_effect: Contribution of model errors that `covariance` includes; None without
+            model errors.
     """
 
     channels: tuple[str, ...]
@@ -237,7 +239,10 @@ class Estimate(Diagnosed, EstimateSummary):
 
     @cached_property
     def matters(self) -> tuple[bool, ...]:
-        """True where a channel's rms residual exceeds 1e-4 of its unit's largest rms signal."""
+        """Flags of channels whose RMS residual is not negligible.
+
+        The RMS residual of such a channel exceeds 1e-4 of the largest RMS signal of the same unit.
+        """
         return non_negligible_residuals(
             self.residual, self.normal_equations.rms, self.channel_units
         )
@@ -253,7 +258,7 @@ class Estimate(Diagnosed, EstimateSummary):
 
     @cached_property
     def joint_terms(self) -> tuple[TermEstimate, ...]:
-        """Estimated coefficients of the joint laws, law by law; () for the force plate."""
+        """Estimated coefficients of the joint laws, in their order; () for the force plate."""
         if self.drives is None:
             return ()
         names = joint_and_shaft_names(self.drives.tree)
@@ -275,7 +280,7 @@ class Estimate(Diagnosed, EstimateSummary):
         return instrument_label(self.minimal, self.method)
 
     def __add__(self, other: Information | Estimate) -> Information:
-        """Sum of information of independent estimates of one robot."""
+        """Combine with an independent estimate of the same robot by adding information matrices."""
         return information_sum((self,), other)
 
     @property

@@ -1,10 +1,10 @@
 """Evidence (marginal likelihood) of linear models with Gaussian priors and unknown noise variances.
 
-Channel c measures y_c = A_c x + B_c u_c + e_c. Coefficients x are shared by all channels, u_c
-belong to channel c; both are N(0, 1) about their prior means. Noise e_c ~ N(0, s_c^2) is
-correlated: a sample counts as 1 / f_c independent samples. The computation needs only products of
-columns and measurements, so that many models of one recording cost little. The variances s_c^2 are
-estimated by expectation maximisation.
+Channel c measures y_c = A_c x + B_c u_c + e_c. Coefficients x are shared by all channels, and
+coefficients u_c belong to channel c; both have Gaussian priors of unit variance. Gaussian noise e_c
+of variance s_c^2 is correlated: a sample is equivalent to 1 / f_c independent samples. The
+computation needs only products of columns and measurements, so that many models of one recording
+can be evaluated at little cost. The variances s_c^2 are estimated by expectation maximisation.
 
 Source    [Mac92]
 """
@@ -27,10 +27,10 @@ INITIAL_VARIANCE_FRACTION = 0.25
 
 @dataclass(frozen=True, eq=False)
 class ChannelProducts:
-    """Products of columns and measurements about their prior means, channel by channel.
+    """Inner products of regressor columns and measurements, channel by channel.
 
-    C channels have P shared columns and m local columns each; the prediction by the prior means of
-    the coefficients is subtracted from the measurements.
+    Each of the C channels has P shared columns and m local columns. The prediction from the prior
+    means of the coefficients is subtracted from the measurements.
 
     Attributes:
         shared: Products of the P columns that channels share, (C, P, P).
@@ -49,9 +49,10 @@ class ChannelProducts:
     count: Array
 
     def with_scaled_columns(self, factors: Array, mean: Array) -> ChannelProducts:
-        """Products with each channel's shared columns multiplied by its scale factor.
+        """Products for shared columns that are scaled by one factor per channel.
 
-        The measurements stay the same; their differences from the scaled prior prediction change.
+        The measurements are unchanged, but the prior prediction that is subtracted from them is
+        scaled with the columns.
 
         Args:
             factors: Scale factor of each channel, (C,).
@@ -78,7 +79,7 @@ class ChannelProducts:
         )
 
     def predicted_products(self, values: Array) -> Array:
-        """Products of all columns with the predicted signal of given coefficients, (C, P + m).
+        """Products of all columns with the signal predicted from given coefficients, (C, P + m).
 
         Args:
             values: Coefficients of each channel, (C, P + m).
@@ -90,7 +91,7 @@ class ChannelProducts:
         return np.asarray(np.concatenate([shared, local], axis=1)[:, :, 0])
 
     def without_channel(self, channel: int) -> ChannelProducts:
-        """Products with the sample count of one channel set to zero, which excludes it.
+        """Products that exclude one channel by setting its sample count to zero.
 
         Args:
             channel: Index of the channel.
@@ -106,16 +107,16 @@ class Evidence:
     Attributes:
         log_evidence: Logarithm of the marginal likelihood [nats].
         variance: Noise variance of each channel, (C,).
-        shared_mean: Posterior mean of the shared coefficients about their prior mean, (P,).
-        local_mean: Posterior mean of each channel's local coefficients about their prior mean, (C,
-            m).
+        shared_mean: Posterior mean of the shared coefficients, relative to their prior mean, (P,).
+        local_mean: Posterior mean of each channel's local coefficients, relative to their prior
+            mean, (C, m).
         residual_squares: Sum of squared residuals at the posterior mean, (C,).
         cholesky_factor: Lower Cholesky factor of the shared coefficients' information matrix, (P,
             P).
         weight: Weight 1 / (f_c s_c^2) of one sample of each channel, (C,).
         cross: Weighted products of shared and local columns, (C, P, m).
-        local_covariance: Covariance of the local coefficients for known shared coefficients, (C, m,
-            m).
+        local_covariance: Posterior covariance of the local coefficients conditional on the shared
+            coefficients, (C, m, m).
     """
 
     log_evidence: float
@@ -130,7 +131,7 @@ class Evidence:
 
     @property
     def coefficients(self) -> Array:
-        """Posterior mean of each channel's coefficients, shared then local, (C, p)."""
+        """Posterior mean of each channel's coefficients, shared then local, (C, P + m)."""
         shared = np.broadcast_to(
             self.shared_mean, (len(self.local_mean), len(self.shared_mean))
         )
@@ -139,15 +140,18 @@ class Evidence:
     def additional_gradient(
         self, cross: Array, gram: Array, moment: Array
     ) -> tuple[Array, Array]:
-        """Gradient, (E,), and Fisher information, (E, E), of log evidence in added coefficients.
+        """Gradient and Fisher information of the log evidence for additional coefficients.
 
-        The E added coefficients are zero and shared by the channels; all coefficients of the model
-        are integrated out.
+        The E additional coefficients are shared by the channels, and the derivatives are evaluated
+        where these coefficients are zero. All coefficients of the model are integrated out.
 
         Args:
-            cross: Products of the model's columns with the additional columns, (C, p, E).
+            cross: Products of the model's columns with the additional columns, (C, P + m, E).
             gram: Products of the additional columns, (C, E, E).
             moment: Products of the additional columns with the residuals, (C, E).
+
+        Returns:
+            Gradient, (E,), and Fisher information, (E, E).
         """
         shared_count = len(self.shared_mean)
         weighted = self.weight[:, None, None] * cross
@@ -171,13 +175,14 @@ def linear_evidence(
 ) -> Evidence:
     """Evidence of a linear-Gaussian model whose noise variances are estimated from the data.
 
-    The variances are estimated by expectation maximisation. Channels of at most
+    The variances are estimated by expectation maximisation. Channels with at most
     MIN_CHANNEL_SAMPLES (10) samples are ignored.
 
     Args:
         products: Products of columns and measurements.
         floor: Smallest standard deviation of each channel's noise, (C,).
-        inflation: Number of each channel's samples that count as one, (C,).
+        inflation: Number of each channel's samples that are equivalent to one independent sample,
+            (C,).
         variance: Initial noise variances, (C,); None for a fraction of the mean squares.
         iterations: Number of E-steps; variances are updated after all but the last.
     """
@@ -214,14 +219,15 @@ def linear_evidence(
 def _posterior(
     products: ChannelProducts, variance: Array, inflation: Array
 ) -> Evidence:
-    """Posterior coefficients for given noise variances, by eliminating the local coefficients.
+    """Compute the posterior for given noise variances by eliminating the local coefficients.
 
-    The evidence's logarithm is left nan.
+    The `log_evidence` of the result is nan.
 
     Args:
         products: Products of columns and measurements.
         variance: Noise variances, (C,).
-        inflation: Number of samples that count as one, (C,); infinite for ignored channels.
+        inflation: Number of samples equivalent to one independent sample, (C,); infinite for
+            ignored channels.
     """
     shared_count = products.shared.shape[1]
     weight = 1 / (inflation * variance)
@@ -263,7 +269,7 @@ def _posterior(
 def _covariance_traces(products: ChannelProducts, estimate: Evidence) -> Array:
     """Traces of each channel's Gram matrix times the posterior covariance, (C,).
 
-    A trace is the expected square of the prediction's error by the coefficients' uncertainty.
+    Each trace is the expected sum of squared prediction errors due to uncertain coefficients.
     """
     identity = np.eye(len(estimate.shared_mean))
     # posterior covariance of the shared coefficients

@@ -90,21 +90,21 @@ def identify(
 ) -> Estimate:
     """Identify minimal parameters from encoder positions and a measured wrench or joint torques.
 
-    Generalised least squares in a few passes over the samples, in constant memory. The result is
-    the same to the bit for any number of threads and any kind of source.
+    Generalised least squares takes a few passes over the samples and constant memory. The result is
+    bitwise identical for any number of threads and any kind of source.
 
     Args:
         tree: Robot; its inertias are not used, except for `zeros`.
-        recording: Recording in memory, path of a Parquet file, or parts in order of time. Columns
-            are matched by joint name; the simulated truth is not read.
-        method: "wrench": the force plate's, six rows a sample. "torque": the joints', one row a
-            joint.
-        terms: Unknowns besides the bodies' parameters: errors of the plate by their names in a rig,
-            such as "plate_bias", "plate_pose"; or laws of the joint torques, such as "coulomb",
-            "viscous" (docs/identification.md). Default: terms of `settings`.
+        recording: Recording in memory, path of a Parquet file, or parts in chronological order.
+            Columns are matched by joint name; the simulated truth is not read.
+        method: "wrench" for the force plate, with six rows per sample, or "torque" for joint
+            torques, with one row per joint and sample.
+        terms: Unknowns in addition to the bodies' parameters: errors of the plate, named as in a
+            rig, such as "plate_bias" or "plate_pose"; or laws of the joint torques, such as
+            "coulomb" or "viscous" (docs/identification.md). Default: terms of `settings`.
         zeros: Replacement of `settings.zeros`.
-        gravity: Gravity in the bedplate frame, (3,) [m/s^2]; default the recording's, if stated,
-            else the model file's.
+        gravity: Gravity in the bedplate frame, (3,) [m/s^2]; default: gravity of the recording if
+            stated, else of the model file.
         settings: Filters, terms and known values.
         doubt: Covariance of the plate calibration that corrected the recording; sigma includes it.
         threads: Number of threads; default one per processor.
@@ -112,7 +112,7 @@ def identify(
 
     Raises:
         RecordingError: The recording is of another robot, too short, lacks what the method needs,
-            or holds numbers that are no measurement.
+            or contains invalid values.
         UnidentifiableParameters: The data cannot distinguish some parameters; lists their names.
     """
     require_tree(tree, "identify(robot, data)")
@@ -136,15 +136,18 @@ def identify_problem(
     calibration: CalibrationCovariance | None = None,
     prior: Gaussian | None = None,
 ) -> tuple[Problem, Estimate]:
-    """Estimate of a problem, and the problem with terms and filter chosen from data.
+    """Solve an estimation problem, choosing terms and filter from the data where requested.
 
     Model errors are subtracted, and the repeatable part of the residuals is determined. Where the
-    data cannot distinguish dry friction and offset of a joint, their sum is estimated.
+    data cannot distinguish the dry friction of a joint from its offset, their sum is estimated.
 
     Args:
         problem: Robot, recording and method.
         calibration: Covariance of the plate calibration, as in `identify`.
-        prior: Prior of the bodies' parameters in the search for model errors; None for none.
+        prior: Prior of the bodies' parameters in the search for model errors; None for no prior.
+
+    Returns:
+        Problem with the chosen terms and filter and corrected measurements, and its estimate.
 
     Raises:
         RecordingError: As in `identify`.
@@ -238,9 +241,10 @@ def _corrected_for_model_errors(
 
 
 def _with_repeatable_error(problem: Problem, estimate: Estimate) -> Estimate:
-    """Estimate with the part of the residuals that repeats with the motion.
+    """Add to an estimate the part of the residuals that repeats with the motion.
 
-    Unchanged where the residuals are negligible or the sampling times are not reliable.
+    The estimate is returned unchanged if its residuals are negligible or the sampling times are not
+    reliable.
     """
     settings = problem.settings
     if not settings.model_errors or settings.row_low_pass is None:
@@ -257,8 +261,9 @@ def _with_repeatable_error(problem: Problem, estimate: Estimate) -> Estimate:
 def _has_gross_faults(estimate: Estimate) -> bool:
     """True if gross faults of the data make a search for model errors meaningless.
 
-    These are errors (not warnings) that are causes rather than symptoms, except HARMLESS_CODES;
-    positions outside a joint's range only with a relative residual above MAX_RELATIVE_RESIDUAL.
+    Gross faults are diagnostics of level "error" that describe a cause rather than a symptom,
+    except HARMLESS_CODES. Positions outside a joint's range are a gross fault only if a relative
+    residual exceeds MAX_RELATIVE_RESIDUAL.
     """
     errors = {d.code for d in estimate.diagnostics if d.level == "error"}
     causes = {code for code in errors if not message_table()[code].symptom}
@@ -269,7 +274,7 @@ def _has_gross_faults(estimate: Estimate) -> bool:
 
 
 def _without_model_errors(problem: Problem, errors: ModelErrors) -> Problem:
-    """Problem whose measurements have the correctable model errors subtracted."""
+    """Problem with the correctable model errors subtracted from its measurements."""
     assert errors.applied_correction is not None
     source = ModelErrorFreeSource(
         problem, problem.source, errors.values, errors.applied_correction
@@ -318,7 +323,7 @@ def choose_terms_and_filter(problem: Problem) -> PreparedProblem:
 
 @timed_stage("rows and their products")
 def weighted_least_squares(problem: Problem, source: Source) -> LinearFit:
-    """Weighted least-squares solution under white noise of a different variance in each channel.
+    """Weighted least-squares solution for white noise with a separate variance per channel.
 
     Args:
         problem: Problem with chosen terms and filters.
@@ -340,7 +345,7 @@ def _generalized_estimate(
 
     Args:
         problem: Problem with chosen terms and filters.
-        doubt: Covariance of the plate calibration; None for none.
+        doubt: Covariance of the plate calibration; None without a calibration.
 
     Raises:
         SettingsError: All minimal parameters are known zeros.
@@ -388,14 +393,14 @@ def _estimate_from_fit(
     model: SensorModel,
     nuisance_values: Array,
 ) -> Estimate:
-    """Estimate assembled from a generalised least-squares fit, still without diagnostics.
+    """Assemble an estimate, without diagnostics, from a generalised least-squares fit.
 
     Args:
         problem: Problem with chosen terms and filters.
         start: Weighted least-squares solution of the corrected recording.
         fit: Generalised least-squares fit.
         model: Model of the sensor errors.
-        nuisance_values: Coefficients of sensor errors by which the recording was corrected, (s,).
+        nuisance_values: Sensor-error coefficients used to correct the recording, (s,).
     """
     equations, signal = start.equations, start.equations.squares
     return Estimate(

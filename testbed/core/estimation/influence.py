@@ -1,4 +1,4 @@
-"""Influence of each parameter on the measured signals, by which parameters are sorted."""
+"""Influence of each parameter on the measured signals, used to sort the parameters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def influence(estimate: Estimate, truths: Mapping[str, float]) -> Array:
     """Rms contribution of each parameter, relative to the rms of the signals, (p,).
 
     A contribution is the parameter's value times its column. Channels in N and in N m are compared
-    separately; the larger ratio counts.
+    separately, and the larger ratio is returned.
 
     Args:
         estimate: Estimate by one method.
@@ -46,7 +46,7 @@ def names_by_influence(
 ) -> list[str]:
     """Names of all parameters, sorted by decreasing influence on the signals.
 
-    For a parameter of several estimates, the largest influence counts.
+    The influence of a parameter in several estimates is the largest of its influences.
 
     Args:
         estimates: Estimates of one robot, one per method.

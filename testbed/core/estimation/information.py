@@ -1,8 +1,9 @@
 """Information matrices: the sum of independent estimates of one robot.
 
-An estimate is Gaussian in its parameters p = A x, linear combinations of the unknowns x of all
-estimates: the largest minimal set among the estimates and the coefficients of the joint laws, one
-unknown per name. The information matrix is A' C^-1 A; independent estimates add theirs.
+The parameters of an estimate are Gaussian, with covariance C, and are linear combinations p = A x
+of common unknowns x: the largest minimal set among the estimates and the coefficients of the joint
+laws, one unknown per name. The information matrix of an estimate is A' C^-1 A; those of independent
+estimates are added.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Information(Gaussian):
-    """Combination of independent estimates of one robot: `plate + torque`.
+    """Combination of independent estimates of one robot, such as `plate + torque`.
 
     Attributes:
         estimates: Estimates of independent data, at least one.
@@ -37,7 +38,7 @@ class Information(Gaussian):
     matrix: Array
 
     def __add__(self, other: Information | Estimate) -> Information:
-        """Sum of information with another independent estimate."""
+        """Combine with another independent estimate by adding information matrices."""
         return information_sum(self.estimates, other)
 
     @property
@@ -51,7 +52,7 @@ class Information(Gaussian):
 def information_sum(
     estimates: Sequence[Estimate], other: Information | Estimate
 ) -> Information:
-    """Sum of information of estimates; `NotImplemented` where `other` is no estimate.
+    """Combination of independent estimates, or `NotImplemented` if `other` is no estimate.
 
     Args:
         estimates: Estimates of independent data.
@@ -105,10 +106,10 @@ def combine_estimates(estimates: Sequence[Estimate]) -> Information:
 
 
 def _solution(matrix: Array, vector: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Solution of the summed normal equations, with covariance and determined unknowns.
+    """Solve the summed normal equations and mark undetermined unknowns.
 
-    With the matrix scaled to unit diagonal, directions with eigenvalues up to 1e-12 of the largest
-    are not determined, and unknowns with a component of 1e-4 in such a direction are nan.
+    The matrix is scaled to unit diagonal. Directions with eigenvalues up to 1e-12 of the largest
+    are undetermined, and unknowns with a component of at least 1e-4 in such a direction are nan.
 
     Args:
         matrix: Information matrix, (p, p).
@@ -133,7 +134,7 @@ def _solution(matrix: Array, vector: Array) -> tuple[Array, Array, NDArray[np.bo
 def combination_matrix(
     estimate: Estimate, minimal: MinimalSet, names: Sequence[str]
 ) -> Array:
-    """Parameters of an estimate as linear combinations of the common unknowns, (q, p).
+    """Matrix from the common unknowns to the parameters of an estimate, (q, p).
 
     Args:
         estimate: One of the combined estimates, with q parameters.

@@ -14,8 +14,7 @@ def parse_known(words: Iterable[str]) -> dict[str, tuple[float, float]]:
         words: Words of the command line.
 
     Raises:
-        SettingsError: A word has another form, two words have the same name, or a mass is not
-            positive.
+        SettingsError: A word is malformed, two words have the same name, or a mass is not positive.
     """
     known: dict[str, tuple[float, float]] = {}
     for word in words:

@@ -1,6 +1,6 @@
 """Estimation problem: a robot, one recording of it and one method, with complete settings.
 
-Gravity, gear, base, samples, filters, terms and tare are fixed here, once.
+Gravity, coupling shafts, base, samples, filters, terms and tare are set here.
 """
 
 from __future__ import annotations
@@ -74,11 +74,11 @@ class Problem:
     """Estimation problem: robot, recording, method and settings, before any sample is used.
 
     Attributes:
-        tree: Robot under the recording's gravity, with the shafts of its gear.
+        tree: Robot with the recording's gravity and with the shafts of the recording's gear matrix.
         source: Selected samples; for a robot on a free base, with the coordinates of the base.
         method: "wrench" or "torque".
         settings: Complete settings: filters fit the sampling rate, and terms are stated ("auto"
-            stays until cross-validation chooses).
+            remains until cross-validation).
         requested_settings: Settings as requested, before completion.
         threads: Number of threads; None for one per processor.
         progress: Callback with the number of samples done and the total.
@@ -116,19 +116,20 @@ class Problem:
         Args:
             tree: Robot; its inertias are not used, except for `settings.zeros`.
             recording: Recording, whose columns are matched by joint name; its truth is not read.
-            method: Method: "wrench" needs the wrench, "torque" the joint torques.
+            method: "wrench", which requires the measured wrench, or "torque", which requires the
+                joint torques.
             settings: Filters, terms and known values.
-            gravity: Gravity in the bedplate frame, (3,) [m/s^2]; default the recording's, if
-                stated, else the tree's.
+            gravity: Gravity in the bedplate frame, (3,) [m/s^2]; default: gravity of the recording
+                if stated, else of the tree.
             threads: Number of threads; default one per processor.
             progress: Callback with the number of samples done and the total.
-            knows_load: True if the bodies' parameters will be known, as joint laws of the load
-                need.
+            knows_load: True if the bodies' parameters will be known, as load-dependent joint laws
+                require.
 
         Raises:
             RecordingError: The recording is of another robot, or lacks what the method needs.
             SettingsError: A time span is stated for several recordings.
-            UnknownName: There is no such method, or no such channel among those to exclude.
+            UnknownName: The method, or a channel to be excluded, does not exist.
         """
         if method not in SIGNALS:
             raise UnknownName("signal", method, SIGNALS)
@@ -233,13 +234,14 @@ class Problem:
         """Passes over the regressor rows of the recording.
 
         Args:
-            number: Total number of passes, for the progress.
+            number: Total number of passes, for progress reports.
             source: Replacement of the problem's source, such as a recording with sensor errors
                 corrected.
-            whole: True to include rows near reversals unless the settings state a reach. Whitening
-                accounts for friction there; single rows are no torques then.
-            per_cutoff: Rows per second per Hz of the low-pass on rows.
-            load: Minimal parameters, (N,), for joint laws of the load; None if unknown.
+            whole: True to include rows near velocity reversals unless the settings state
+                `reversal_reach`. Whitening accounts for the friction there, but single rows then do
+                not represent joint torques.
+            per_cutoff: Rows per second, per Hz of the low-pass cutoff on rows.
+            load: Minimal parameters, (N,), for load-dependent joint laws; None if unknown.
 
         Raises:
             RecordingError: The recording is too short, or its sampling rate too low.
@@ -266,7 +268,7 @@ class Problem:
         return Passes(plan, self.threads, self.progress, number)
 
     def equations(self, passes: Passes) -> NormalEquations:
-        """Assemble the normal equations of all rows, by one of the passes.
+        """Assemble the normal equations of all rows in one pass.
 
         Args:
             passes: Passes over the rows.
@@ -281,7 +283,7 @@ def selected_samples(recording: RecordingLike, settings: Settings) -> Source:
 
     Args:
         recording: Recording or recordings, as for `open_source`.
-        settings: Settings, whose time span has priority over the recording's.
+        settings: Settings, whose time span has priority over that of the recording.
 
     Raises:
         RecordingError: `recording` is no recording, or has no samples in the time span.
@@ -316,12 +318,13 @@ def check_excluded_channels(source: Source, settings: Settings) -> None:
 
 
 def check_source(source: Source, tree: Tree, method: Signal) -> None:
-    """Check that a recording is of this robot and has the signal of a method.
+    """Check that a recording belongs to the robot and contains the signal of the method.
 
     Args:
         source: Recording.
         tree: Robot.
-        method: Method: "wrench" needs the wrench, "torque" the joint torques.
+        method: "wrench", which requires the measured wrench, or "torque", which requires the joint
+            torques.
 
     Raises:
         RecordingError: The recording is damaged, of another robot, or lacks the signal.
@@ -345,9 +348,9 @@ def check_source(source: Source, tree: Tree, method: Signal) -> None:
 
 
 def recording_tare(tree: Tree, source: Source) -> Array:
-    """Static wrench of the pedestal, subtracted from the plate's, (6,) [N, N m].
+    """Static wrench of the pedestal, subtracted from the plate's wrench, (6,) [N, N m].
 
-    The recording's tare where stated, else the weight of the model's pedestal.
+    It is the tare of the recording if stated, else the weight of the model's pedestal.
 
     Args:
         tree: Robot under the gravity of the recording.
@@ -360,7 +363,7 @@ def recording_tare(tree: Tree, source: Source) -> Array:
 def method_minimal_set(tree: Tree, method: Signal, settings: Settings) -> MinimalSet:
     """Minimal set that a method can identify.
 
-    With an unknown tare, only changes of the wrench count.
+    With an unknown tare, only changes of the wrench are used.
 
     Args:
         tree: Robot under the gravity of the recording.
@@ -395,7 +398,7 @@ def _completed_settings(
 ) -> Settings:
     """Settings with filters fitted to the sampling rate, default terms and, if needed, a bias.
 
-    A plate whose tare is unknown has an unknown bias.
+    An unknown tare adds a plate bias to the nuisances.
     """
     nuisances: Sequence[str] = settings.nuisances
     if method == "wrench" and settings.tare == "unknown" and "bias" not in nuisances:

@@ -29,7 +29,7 @@ MAX_TIME_OR_SPEED = 1e9
 def values_with_sigmas(
     stated: Mapping[str, float | Sequence[float]],
 ) -> dict[str, tuple[float, float]]:
-    """Value and sigma by name; sigma is zero where not stated.
+    """Value and sigma of each name; sigma is zero where not stated.
 
     Args:
         stated: Checked table of values, or of values with sigmas, by name.
@@ -96,9 +96,9 @@ PositiveNumber = Annotated[Number, Field(gt=0)]
 
 
 class ValidatedValue(Value):
-    """Base of frozen dataclasses whose fields are validated on construction.
+    """Base class of frozen dataclasses whose fields are validated on construction.
 
-    The type of a field is annotated with the type that pydantic validates and a description of it.
+    A field's annotation contains the type that pydantic validates and a description of that type.
     """
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
@@ -135,7 +135,7 @@ KNOWN_VALUES_FIELD = (
 class Settings(ValidatedValue):
     """Settings of an estimate: filters, terms, and values known in advance.
 
-    Plain values only: an experiment file's table [identification] holds the same keys.
+    Values are plain; the table [identification] of an experiment file has the same keys.
     """
 
     zeros: Annotated[
@@ -156,7 +156,7 @@ class Settings(ValidatedValue):
     cutoff: Annotated[
         Cutoff | None, CutoffValue, 'a positive frequency [Hz] or "off"'
     ] = "fit"
-    """Cutoff of the low-pass on regressor columns and measurement alike [Hz], or "off". Default: 5
+    """Cutoff of the low-pass on both regressor columns and measurement [Hz], or "off". Default: 5
     Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
 
     deadband: Annotated[
@@ -294,8 +294,8 @@ class Settings(ValidatedValue):
     def fitted(self, rate: float) -> Settings:
         """Settings whose "fit" cutoffs are replaced by frequencies that suit the sampling rate.
 
-        On rows: 5 Hz, at most a tenth of the sampling rate and half of the cutoff on positions. On
-        positions: 40 Hz, or "off" for sampling rates up to 80 Hz.
+        The cutoff on rows is 5 Hz, but at most a tenth of the sampling rate and half of the cutoff
+        on positions. The cutoff on positions is 40 Hz, or "off" for sampling rates up to 80 Hz.
 
         Args:
             rate: Sampling rate [Hz].
@@ -318,11 +318,11 @@ class Settings(ValidatedValue):
         """Settings with other nuisances or joint laws.
 
         Args:
-            names: Sensor errors of the plate, by their names as faults or nuisances, and joint
-                laws. Where none of a kind is named, the settings' own stay.
+            names: Names of sensor errors of the plate, as faults or as nuisances, and of joint
+                laws. If no sensor error or no joint law is named, those of the settings are kept.
 
         Raises:
-            UnknownName: There is no sensor error or joint law of a name.
+            UnknownName: A name is neither a sensor error nor a joint law.
         """
         requested, known_errors = (
             [names] if isinstance(names, str) else names,
@@ -345,7 +345,7 @@ class Settings(ValidatedValue):
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:
-        """Joint laws of the terms, each once."""
+        """Distinct joint laws of the terms."""
         return tuple(dict.fromkeys(law_of_term(term) for term in self.words))
 
     @property

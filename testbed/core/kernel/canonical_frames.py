@@ -1,4 +1,4 @@
-"""Canonical frames of a tree: joints along z, links that lean about x only."""
+"""Canonical frames of a tree: joints along z, links twisted about x only."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from testbed.core.parameters.rules import triad_about
 from testbed.core.robot.tree import Tree
 
 MIN_LEAN_SINE = 1e-14
-"""Smallest sine of a lean that is not rounding."""
+"""Smallest sine of a twist angle (rotation about x) that is not a rounding error."""
 
 
 @dataclass(frozen=True, eq=False)
 class KernelLink:
-    """Geometry of a link: offset, rotations about x and z, joint on the z axis.
+    """Geometry of a link: offset, rotations about x and z, joint along the z axis.
 
     Attributes:
-        joint: Index of the tree's joint; -1 for a resting frame.
+        joint: Index of the tree's joint; -1 for a fixed frame (a link without a joint).
         parent: Index of the link that carries this link, -1 for the bedplate.
-        prismatic: True for a prismatic joint or a resting frame.
+        prismatic: True for a prismatic joint or a fixed frame.
         offset: Position of the joint in the carrying link's frame, (3,) [m].
-        lean: Cosine and sine of the rotation about x.
+        lean: Cosine and sine of the twist angle, the rotation about x.
         turn: Constant part of the rotation about z [rad].
     """
 
@@ -43,7 +43,7 @@ class CanonicalFrames:
 
     Attributes:
         links: Links, parents first.
-        place: Index of each joint's link, (n,).
+        place: Index of the link of each joint, (n,).
         frames: Orientation of each body's canonical frame in the body frame, (n, 3, 3).
         bedplate: Orientation of the bedplate's canonical frame, (3, 3).
     """
@@ -54,7 +54,7 @@ class CanonicalFrames:
     bedplate: Array
 
     def to_canonical(self) -> Array:
-        """Matrices of barycentric parameters from body axes to canonical axes, (n, 10, 10)."""
+        """Matrices that map barycentric parameters from body to canonical axes, (n, 10, 10)."""
         turned = np.stack(
             [inertia_transform(Transform(R_BC.T)) for R_BC in self.frames]
         )
@@ -64,8 +64,9 @@ class CanonicalFrames:
 def canonical_frames(tree: Tree) -> CanonicalFrames:
     """Canonical frames of a tree.
 
-    Each joint is along z; a frame is chosen about z such that the first carried joint leans about x
-    only. Resting frames are added for other carried joints.
+    Each joint is along z. The rotation of a frame about z is chosen such that the first carried
+    joint is twisted about x only. Fixed frames (links without a joint) are added for the other
+    carried joints.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -106,15 +107,15 @@ def canonical_frames(tree: Tree) -> CanonicalFrames:
 
 
 def _rest_rotation(tree: Tree, frames: list[Array], j: int) -> Array:
-    """Rotation from joint j's canonical frame at q = 0 to that of its carrier, (3, 3)."""
+    """Rotation from joint j's canonical frame at q = 0 to its carrier's canonical frame, (3, 3)."""
     joint = tree.joints[j]
     return frames[joint.parent + 1].T @ joint.rotation @ frames[j + 1]
 
 
 def _lean_angle(turn: Array) -> float | None:
-    """First angle of the decomposition of a rotation about z, x, z [rad].
+    """First of the z-x-z Euler angles of a rotation [rad].
 
-    None if the rotation is about z only.
+    The result is None if the rotation is about z only.
     """
     if np.hypot(turn[0, 2], turn[1, 2]) < MIN_LEAN_SINE:
         return None

@@ -26,14 +26,14 @@ settings: Any = config  # its names are made while Numba is imported
 HAS_WIDE_VECTORS = "+avx512f" in (
     settings.CPU_FEATURES or binding.get_host_cpu_features().flatten()
 )
-"""True if the processor has 32 vector registers, enough for tiles of four slots by four."""
+"""True if the processor has 32 vector registers, enough for products of four by four columns."""
 
 
 def compiled_folder() -> Path:
     """Folder of compiled code, private to the user, one per version of the sources.
 
-    Numba's cache is executable code: if the cache folder is writable for other users, or cannot be
-    made, a temporary folder is used.
+    Numba's cache contains executable code. A temporary folder is used if other users can write to
+    the cache folder, or if it cannot be created.
     """
     base = cache_folder()
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
@@ -54,7 +54,7 @@ def compiled_folder() -> Path:
 
 
 def _is_private(folder: Path) -> bool:
-    """True if a folder belongs to the user and is not writable for others."""
+    """True if a folder belongs to the user and other users cannot write to it."""
     if not hasattr(os, "getuid"):
         return True
     state = folder.stat()
@@ -85,9 +85,9 @@ intrinsic: Any = extending.intrinsic
 
 @intrinsic  # type: ignore[untyped-decorator]
 def call_address(typing: Any, address: Any, arguments: Any) -> Any:
-    """Numba intrinsic that calls a C function without return value by its address.
+    """Call a C function without return value at an address, as a Numba intrinsic.
 
-    Unlike a ctypes function, the caller can be cached.
+    Unlike a function that calls through ctypes, the caller can be cached by Numba.
 
     Args:
         typing: Typing context of Numba.

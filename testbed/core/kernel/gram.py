@@ -1,8 +1,9 @@
-"""Computation of filtered rows and their products over a window of samples.
+"""Computation of filtered regressor rows and their products over a window of samples.
 
-A slot is a column or the measurement of a channel; slots are D numbers apart, one number per row.
-X, Y are arrays of slots, n the number of samples or rows, G the products, ld the distance of rows
-of G.
+Columns are the regressor columns and the measurement of each channel (also called slots). They are
+stored one after the other, D numbers apart, with one number per sample or row. X, Y are arrays of
+columns, n is the number of samples or rows, G the array of products, ld the distance between
+consecutive rows of G.
 """
 
 from __future__ import annotations
@@ -27,19 +28,19 @@ from testbed.core.kernel.rows import dot, fill_rows
 
 @inline_sum
 def slot_values(X, k):
-    """Values of four consecutive slots at sample k."""
+    """Values of four consecutive columns at sample k."""
     return X[k], X[D + k], X[2 * D + k], X[3 * D + k]
 
 
 @inline_sum
 def add_products_of_four(a, x, y):
-    """Four sums a, with x times each of the four values y added."""
+    """Four updated sums `a + x * y`, for four values y."""
     return a[0] + x * y[0], a[1] + x * y[1], a[2] + x * y[2], a[3] + x * y[3]
 
 
 @inline_sum
 def products_with_one(E, X, n):
-    """Inner products of one slot E with four slots X over n samples."""
+    """Inner products of one column E with four columns X over n samples."""
     a = (0.0, 0.0, 0.0, 0.0)
     for k in range(n):
         a = add_products_of_four(a, E[k], slot_values(X, k))
@@ -48,9 +49,9 @@ def products_with_one(E, X, n):
 
 @inline_sum
 def products_of_four(X, Y, n):
-    """Inner products X_i . Y_j of four slots with four slots over n samples.
+    """Inner products X_i . Y_j of four columns X and four columns Y over n samples.
 
-    Unused results are not computed once the function is inlined.
+    Once the function is inlined, the compiler drops unused results.
     """
     a = b = c = d = (0.0, 0.0, 0.0, 0.0)
     for k in range(n):
@@ -66,7 +67,7 @@ def products_of_four(X, Y, n):
 
 @inline_sum
 def add_four(G, at, a):
-    """Add four sums a to consecutive elements of G from `at` on."""
+    """Add four sums a to four consecutive elements of G, starting at index `at`."""
     G[at] += a[0]
     G[at + 1] += a[1]
     G[at + 2] += a[2]
@@ -75,7 +76,7 @@ def add_four(G, at, a):
 
 @llvm_inline
 def tile(X, Y, n, G, at, ld):
-    """Add inner products of four slots with four: G[at + i ld + j] += X_i . Y_j."""
+    """Add the inner products of four by four columns: `G[at + i ld + j] += X_i . Y_j`."""
     a, b, c, d = products_of_four(X, Y, n)
     add_four(G, at, a)
     add_four(G, at + ld, b)
@@ -85,7 +86,7 @@ def tile(X, Y, n, G, at, ld):
 
 @llvm_inline
 def half_tile(X, Y, n, G, at, ld):
-    """Add inner products of two slots X with four slots Y."""
+    """Add the inner products of two columns X and four columns Y to G."""
     a, b, _, _ = products_of_four(X, Y, n)
     add_four(G, at, a)
     add_four(G, at + ld, b)
@@ -93,18 +94,18 @@ def half_tile(X, Y, n, G, at, ld):
 
 @llvm_inline
 def split_tile(X, Y, n, G, at, ld):
-    """Add inner products of four slots with four, for processors with sixteen vector registers."""
+    """Add the inner products of four by four columns, using at most sixteen vector registers."""
     half_tile(X, Y, n, G, at, ld)
     half_tile(X[2 * D :], Y, n, G, at + 2 * ld, ld)
 
 
 fitting_tile = tile if HAS_WIDE_VECTORS else split_tile
-"""Function for four slots with four that suits the processor."""
+"""Function for products of four by four columns that suits the processor."""
 
 
 @llvm_inline
 def diagonal_tile(X, n, G, at, ld):
-    """Add inner products of four slots with each other, lower triangle only."""
+    """Add the lower triangle of the inner products of four columns with each other."""
     a, b, c, d = products_of_four(X, X, n)
     G[at] += a[0]
     at += ld
@@ -119,7 +120,7 @@ def diagonal_tile(X, n, G, at, ld):
 
 @compiled_function
 def apply_filter(rows, signals, work, centre, count, at, n):
-    """Add the contributions of a chunk of samples to the filtered rows within its reach.
+    """Add the contributions of a chunk of samples to the filtered rows.
 
     Args:
         rows: Arrays of the rows.
@@ -150,18 +151,19 @@ def apply_filter(rows, signals, work, centre, count, at, n):
 
 @numba_inline
 def mark_rests(rows, signals, work, centre, lo, hi, at, n):
-    """Mark rows near samples at rest of their joint, or sum products of filter weights.
+    """Mark rows near samples with the joint at rest, or sum filter weight products.
 
-    With `signals.rest_reach`, rows within that many samples of a rest are marked. Otherwise the
-    products of the filter weights of each row and earlier rows at samples at rest are added to G.
+    If `signals.rest_reach` is positive, rows within this number of samples of a sample at rest are
+    marked. Otherwise, the products of the filter weights of each row with those of itself and of
+    earlier rows, at samples at rest, are added to G.
 
     Args:
         rows: Arrays of the rows.
         signals: The window.
         work: Workspace.
         centre: Sample of the block's first row.
-        lo: First row within the filter's reach.
-        hi: Row after the last one within the filter's reach.
+        lo: First row to which the chunk contributes.
+        hi: Row after the last row to which the chunk contributes.
         at: First sample of the chunk.
         n: Number of samples of the chunk.
     """
@@ -184,16 +186,18 @@ def mark_rests(rows, signals, work, centre, lo, hi, at, n):
 
 @numba_inline
 def whiten_rests(X, G, U, size, count):
-    """Whiten the rows of a channel for friction at rest, by a banded Cholesky factor.
+    """Whiten the rows of a channel for friction at rest, using a banded Cholesky factor.
 
-    The friction at rest is white with REST_VARIANCE a sample, relative to the noise. Rows count
-    with less than MAX_REST_SHARE of their squared weights at rest, and with a variance by friction,
-    conditional on earlier rows, below MAX_REST_VARIANCE.
+    The friction at rest is modelled as white noise of variance REST_VARIANCE per sample, relative
+    to the measurement noise. A row is valid if less than MAX_REST_SHARE of its squared filter
+    weights is at rest, and if its variance due to friction, conditional on earlier rows, is below
+    MAX_REST_VARIANCE.
 
     Args:
-        X: All slots of the channel; divided by the factor.
-        G: Products of weights at rests, a band, diagonal first; replaced by the Cholesky factor.
-        U: Becomes 1 for rows that count, 0 for others.
+        X: All columns of the channel; multiplied by the inverse of the factor in place.
+        G: Products of filter weights at samples at rest, as a band matrix with the diagonal first;
+            replaced by the Cholesky factor.
+        U: Set to 1 for valid rows and to 0 for the others.
         size: Sum of the squared filter weights.
         count: Number of rows.
     """
@@ -220,16 +224,16 @@ def whiten_rests(X, G, U, size, count):
 
 @compiled_function
 def weight_rests(rows, signals, work, count, sums):
-    """Whiten rows that include friction at rest, and zero the rows that do not count.
+    """Whiten rows that include friction at rest, and set invalid rows to zero.
 
-    With `signals.rest_reach`, marked rows do not count, and none are whitened.
+    If `signals.rest_reach` is positive, the marked rows are invalid and no row is whitened.
 
     Args:
         rows: Arrays of the rows.
         signals: The window.
         work: Workspace.
         count: Number of rows of the block.
-        sums: Sums of the window; the number of rows that count is added.
+        sums: Sums of the window; the number of valid rows is added.
     """
     Z, channels, weights = work.Z, len(rows.measured), signals.weights
     for c in range(channels):
@@ -250,7 +254,7 @@ def weight_rests(rows, signals, work, count, sums):
 
 @compiled_function
 def add_gram(rows, work, count, sums):
-    """Add the products of all pairs of slots of each channel, lower triangles only."""
+    """Add the lower triangle of the Gram matrix of each channel's columns."""
     n, G = -(-count // 8) * 8, sums.products
     for g in range(len(rows.start)):
         p, ld, slot = rows.group_size[g], rows.width[g], rows.start[g]
@@ -274,7 +278,7 @@ def add_gram(rows, work, count, sums):
 def sweep(robot, rows, signals, work, sums):
     """Compute all rows, block by block, and their products unless `sums.products` is empty.
 
-    The last block stays in work.Z.
+    The rows of the last block remain in `work.Z`.
     """
     half = len(signals.weights) // 2
     is_filtered = half > 0

@@ -11,10 +11,11 @@ from testbed.core.parameters.regroup import orthogonal_part
 
 
 def independent_columns(matrix: Array, order: Sequence[int]) -> list[int]:
-    """Indices of columns that span the column space, by Gram-Schmidt with thresholds.
+    """Indices of columns that span the column space, by thresholded Gram-Schmidt.
 
-    In the order of preference, columns are chosen whose part orthogonal to those chosen before has
-    a length above 0.3; then above 0.03, 1e-3 and 1e-6, until the rank is reached.
+    Columns are tested in order of preference. A column is selected if its component orthogonal to
+    the columns selected before is longer than a threshold: 0.3 in the first pass, then 0.03, 1e-3
+    and 1e-6, until the rank is reached.
 
     Args:
         matrix: Matrix of full row rank, (k, p).

@@ -1,9 +1,10 @@
 """Layout of regressor rows for the kernel: arrays of links, rows and columns.
 
 A channel is a measured quantity with a row of the regressor: the torque of a joint, or one of the
-six components of the wrench. Its slots are the columns of the bodies, body by body, the joint's own
-terms, the measurement, and zeros up to a multiple of four. A column is one parameter of one body
-about canonical axes; `Layout.basis` maps the columns to the unknowns.
+six components of the wrench. A slot is an array for one element of this row. The slots of a channel
+hold the body columns, body by body, the joint terms, the measurement, and zeros up to a multiple of
+four. A column belongs to one parameter of one body about canonical axes; `Layout.basis` maps the
+columns to the unknowns.
 """
 
 from __future__ import annotations
@@ -47,15 +48,15 @@ from testbed.core.robot.tree import Tree
 
 
 class Pair(NamedTuple):
-    """Screw of a channel on a link, with the slots and entries of its row.
+    """Screw of a channel on a link, with slots (arrays) and entries of the row.
 
     Attributes:
         channel: Index of the channel.
         own: True for the screw of the link's own joint.
         force: True for a screw without angular part.
-        slot: First slot.
+        slot: Index of the first slot.
         direct: Number of entries that are written to their slots without a copy.
-        entries: Entries of the kernel, in the order of the slots.
+        entries: Row entries as in `records.ENTRY_PARAMETERS`, in the order of the slots.
     """
 
     channel: int
@@ -67,7 +68,7 @@ class Pair(NamedTuple):
 
 
 class IndexAllocator:
-    """Allocator of workspace indices, reused once all carried links have been visited.
+    """Allocator of workspace indices; an index is reused after all carried links are visited.
 
     Args:
         links: Links, parents first.
@@ -84,7 +85,7 @@ class IndexAllocator:
         self.free: list[int] = []
 
     def allocate(self, channel: int, link: int) -> int:
-        """Allocate the index of the data of a channel on a link."""
+        """Allocate a workspace index for the data of a channel on a link."""
         if not self.free:
             self.free.append(self.count)
             self.count += 1
@@ -102,7 +103,7 @@ class IndexAllocator:
 
 
 class LayoutBuilder:
-    """Builder of row arrays: channels are added one by one.
+    """Builder of row arrays, to which channels are added one by one.
 
     Args:
         frames: Links in canonical frames.
@@ -129,13 +130,13 @@ class LayoutBuilder:
     def add_channel(self, link: int, force: bool, terms: list[tuple[int, int]]) -> None:
         """Add the row of a joint or of a component of the wrench.
 
-        Its slots: columns of the moved bodies, joint terms, measurement, zeros up to a multiple of
-        four.
+        The slots (arrays) of the row hold the columns of the moved bodies, the joint terms, the
+        measurement, and zeros up to a multiple of four.
 
         Args:
             link: Link of the joint; -1 for the next component of the wrench.
-            force: True for a force: a prismatic joint, or a component of the force.
-            terms: Index of the law and of the column of each joint term.
+            force: True for the force of a prismatic joint, or a force component of the wrench.
+            terms: Indices of the law and of the column, for each joint term.
         """
         start, columns = self.slots, list[int]()
         pairs = []
@@ -186,7 +187,7 @@ class LayoutBuilder:
         self.columns.append(np.array(columns, dtype=np.int64))
 
     def _is_on_sensor(self, k: int) -> bool:
-        """True if only resting frames are between a link and the bedplate or the sensor."""
+        """True if only frames without joints are between a link and the bedplate or sensor."""
         if self.base >= 0:
             return k == self.base
         inward = self.links[k].parent
@@ -195,7 +196,7 @@ class LayoutBuilder:
         return inward < 0
 
     def _is_carrier(self, inner: int, outer: int) -> bool:
-        """True if a link carries another link, directly or not, or is that link."""
+        """True if the inner link equals the outer link or carries it, directly or indirectly."""
         while outer > inner:
             outer = self.links[outer].parent
         return outer == inner
@@ -204,7 +205,8 @@ class LayoutBuilder:
         """Pairs of screws and links, link by link, with workspace indices of the screws.
 
         Returns:
-            Pairs; for each pair, the index of the screw on the link's carrier; and on the link.
+            The pairs; for each pair, the workspace index of its screw on the link's carrier; and
+            the workspace index of its screw on the link.
         """
         allocator = IndexAllocator(self.links, SEED_COUNT)
         pairs, source, target = list[Pair](), list[int](), list[int]()
@@ -267,7 +269,7 @@ class LayoutBuilder:
 
 
 COEFFICIENT_TOLERANCE = 1e-13
-"""Size below which coefficients are rounding of zero."""
+"""Magnitude below which coefficients are rounding errors of zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,10 +283,10 @@ class Layout:
         terms: Terms of the joints, such as friction.
         robot: Arrays of the links.
         rows: Arrays of the rows.
-        theta: Barycentric parameters of a unit of each body column, (n, 10, P').
+        theta: Barycentric parameters for a unit value of each of the P' body columns, (n, 10, P').
         basis: Matrix with columns @ basis = regressor of the minimal parameters, then of the terms,
-            (P, unknowns).
-        channel_columns: Columns of each channel, in the order of its slots.
+            (P, unknowns), for P columns of bodies and terms.
+        channel_columns: Indices of the columns of each channel, in storage order.
     """
 
     tree: Tree
@@ -303,10 +305,10 @@ class Layout:
         return len(self.channel_columns)
 
     def combine_columns(self, rows: Array, basis: Array) -> Array:
-        """Linear combinations of the columns, by channel, (C, k, q).
+        """Linear combinations of the columns, for each of the C channels, (C, k, q).
 
         Args:
-            rows: Values of all slots in k rows, (slots, k).
+            rows: Values of all slots (row elements of all channels) in k rows, (slots, k).
             basis: Coefficients of q combinations of the P columns, (P, q).
         """
         result = np.empty((self.channel_count, rows.shape[1], basis.shape[1]))
@@ -317,7 +319,7 @@ class Layout:
 
     @property
     def is_compiled(self) -> bool:
-        """True if the compiled kernel computes all columns: laws in LAWS, at joints."""
+        """True if the compiled kernel computes all columns: known laws, at joints only."""
         return all(
             law_number(term.law) != NO_LAW and term.joint < self.tree.n
             for term in self.terms
@@ -331,7 +333,7 @@ def make_layout(
 
     Args:
         tree: The robot; only its geometry matters.
-        minimal: Minimal set of joint torques (a channel a joint) or of the wrench (six channels).
+        minimal: Minimal set of joint torques (one channel per joint) or of the wrench (six).
         terms: Terms of the joints, for joint torques.
     """
     frames = canonical_frames(tree)
@@ -373,11 +375,11 @@ def make_layout(
 
 
 def _column_parameters(turns: Array, chosen: list[int]) -> Array:
-    """Barycentric parameters about body axes of units of canonical parameters, (n, 10, P).
+    """Barycentric parameters in body axes for unit values of canonical parameters, (n, 10, P).
 
     Args:
         turns: Matrices from body axes to canonical axes, (n, 10, 10).
-        chosen: Canonical parameters, indices among the 10 n.
+        chosen: Indices of P canonical parameters among the 10 n.
     """
     back = np.linalg.inv(turns)
     theta = np.zeros((*back.shape[:2], len(chosen)))
@@ -441,19 +443,19 @@ def _link_arrays(frames: CanonicalFrames, gravity: Array, tree: Tree) -> LinkArr
 def _body_columns(
     turn: Array, minimal: MinimalSet, *, whole: bool
 ) -> tuple[list[int], Array]:
-    """Canonical parameters that become columns, and their matrix to the minimal set.
+    """Canonical parameters that become columns, and the matrix from columns to minimal set.
 
-    As many as there are minimal parameters if their span permits this, else all that are not zero
-    in the lift, the right inverse of the minimal set's matrix.
+    If possible, as many parameters are chosen as the minimal set has. Otherwise all parameters are
+    chosen that have a nonzero element in the right inverse of the minimal set's matrix (`lift`).
 
     Args:
         turn: Matrices from body axes to canonical axes, (n, 10, 10).
-        minimal: Minimal set.
-        whole: True to take all that occur in the lift: the coordinates of a free base share one
-            mass.
+        minimal: Minimal set of N parameters.
+        whole: True to choose all parameters with a nonzero element in the right inverse, as a free
+            base requires, whose coordinate bodies share one mass.
 
     Returns:
-        Indices among the 10 n parameters, and the matrix, (P, N).
+        Indices of P canonical parameters among the 10 n, and the matrix, (P, N).
     """
     lift = np.einsum("jab,jbn->jan", turn, minimal.lift.reshape(len(turn), 10, -1))
     lift = lift.reshape(10 * len(turn), -1)

@@ -67,9 +67,9 @@ def workspace(layout: Layout, signals: SignalWindow) -> Workspace:
 
 
 def row_products(layout: Layout, signals: SignalWindow, work: Workspace) -> Sums:
-    """Products of each channel's slots, summed over the rows of a window.
+    """Gram matrices of channel columns over the rows of a window, and valid row counts.
 
-    With the numbers of rows that count: those not excluded near rests of the channel's joint.
+    Rows are valid unless they are excluded because the channel's joint is nearly at rest.
 
     Args:
         layout: Layout of the rows.
@@ -83,7 +83,7 @@ def row_products(layout: Layout, signals: SignalWindow, work: Workspace) -> Sums
 
 
 def fill_rows(layout: Layout, signals: SignalWindow, work: Workspace) -> Array:
-    """Compute only the rows of a window; the last block stays in the workspace.
+    """Compute only the rows of a window; the last block remains in the workspace.
 
     Args:
         layout: Layout of the rows.
@@ -91,7 +91,7 @@ def fill_rows(layout: Layout, signals: SignalWindow, work: Workspace) -> Array:
         work: Workspace.
 
     Returns:
-        Number of rows that count, by channel, (channels,).
+        Number of valid rows of each channel, (channels,).
     """
     sums = zero_sums(layout.rows)._replace(products=np.empty(0))
     _call_kernel(layout.robot, layout.rows, _readonly_signals(signals), work, sums)
@@ -115,7 +115,7 @@ def rows(layout: Layout, signals: SignalWindow, work: Workspace) -> list[Block]:
 
 
 def _aligned_zeros(*shape: int) -> Array:
-    """Array of zeros that begins at a cache line, for aligned vector access."""
+    """Array of zeros whose memory starts at a cache line, for aligned vector access."""
     size = math.prod(shape)
     padded = np.zeros(size + 7)
     first = -(padded.ctypes.data // 8) % 8
@@ -125,8 +125,9 @@ def _aligned_zeros(*shape: int) -> Array:
 def _call_kernel(*arguments: object) -> None:
     """Call the compiled kernel; compile it in a new thread at the first call.
 
-    Compiling makes millions of Python calls; at the end of a chunk of stack frames each of them may
-    allocate and free a chunk, which takes seconds in all. A new thread has a short stack.
+    Compilation makes millions of Python calls. On a deep stack, calls at the boundary between two
+    chunks of stack memory allocate and free a chunk each time, which takes seconds in total. A new
+    thread starts with an empty stack.
     """
     if not compiled_sweep.overloads:
         with _compile_lock:  # other threads may call at the same time

@@ -1,6 +1,7 @@
-"""Regressor rows and row products by NumPy and the recursion of `dynamics`.
+"""Regressor rows and row products, computed by NumPy and the recursion of `dynamics`.
 
-For small problems, for laws without a compiled column, and as a check of the compiled kernel.
+This engine is for small problems, for joint laws without a compiled column, and for checks of the
+compiled kernel.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from testbed.core.robot.friction import LOAD_MULTIPLIERS, JointTerm
 from testbed.core.robot.shafts import transmission_matrix
 
 BLOCK_SAMPLES = 256
-"""Samples processed at once, so that the data of a few bodies fit into a cache."""
+"""Number of samples processed at once, so that the data of a few bodies fit into a cache."""
 
 
 def workspace(layout: Layout, signals: SignalWindow) -> None:
-    """Workspace of this engine: none."""
+    """Workspace of this engine, which needs none: None."""
 
 
 def rows(layout: Layout, signals: SignalWindow, work: None = None) -> list[Block]:
@@ -40,7 +41,7 @@ def rows(layout: Layout, signals: SignalWindow, work: None = None) -> list[Block
     Args:
         layout: Layout of the rows.
         signals: The window.
-        work: Not used; for the interface of the compiled engine.
+        work: Not used; part of the interface shared with the compiled engine.
     """
     parts = signal_blocks(signals, layout.rows.block)
     return [_filtered_block(layout, part, first) for first, part in parts]
@@ -49,14 +50,14 @@ def rows(layout: Layout, signals: SignalWindow, work: None = None) -> list[Block
 def row_products(
     layout: Layout, signals: SignalWindow, row_blocks: list[Block]
 ) -> Sums:
-    """Products of each channel's slots, summed over the rows of a window.
+    """Gram matrices of channel columns over the rows of a window, and valid row counts.
 
-    With the numbers of rows that count: those not excluded near rests of the channel's joint.
+    Rows are valid unless they are excluded because the channel's joint is nearly at rest.
 
     Args:
         layout: Layout of the rows.
         signals: The window.
-        row_blocks: Rows of the window, of either engine.
+        row_blocks: Rows of the window, computed by either engine.
     """
     sums = zero_sums(layout.rows)
     for values in (
@@ -73,7 +74,7 @@ def row_products(
 
 
 def _filtered_block(layout: Layout, signals: SignalWindow, number: int) -> Block:
-    """Filtered rows of one block; rows at rests are whitened or set to zero.
+    """Filtered rows of one block; rows near rest are whitened or set to zero.
 
     Args:
         layout: Layout of the rows.
@@ -133,15 +134,15 @@ def _filtered_block(layout: Layout, signals: SignalWindow, number: int) -> Block
 
 
 def _whiten_rests(z: Array, rests: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Rows, (slots, k), whitened for friction at rest, and mask of the rows that count, (k,).
+    """Rows whitened for friction at rest, (s, k), and mask of the valid rows, (k,).
 
-    Rows count with less than MAX_REST_SHARE of their squared weights at rest, and with a variance
-    by friction, conditional on earlier rows, below MAX_REST_VARIANCE.
+    A row is valid if less than MAX_REST_SHARE of its squared filter weights is at samples at rest,
+    and if its variance due to friction, conditional on earlier rows, is below MAX_REST_VARIANCE.
 
     Args:
-        z: Rows, (slots, k).
-        rests: Products of the filter weights of each pair of rows at samples at rest, relative to a
-            row's sum of squared weights, (k, k).
+        z: k rows of s elements, (s, k).
+        rests: Products of the filter weights of each pair of rows at samples at rest, relative to
+            the sum of the squared weights of a row, (k, k).
     """
     root = np.linalg.cholesky(np.eye(len(rests)) + REST_VARIANCE * rests)
     counts = np.diagonal(root) ** 2 < 1 + MAX_REST_VARIANCE
@@ -157,8 +158,8 @@ def window_motion(
     Args:
         signals: The window.
         first: Index of the first sample.
-        count: Number of instants.
-        stride: Samples from one instant to the next.
+        count: Number of selected samples.
+        stride: Number of recorded samples from one selected sample to the next.
         rate: Sampling rate [Hz].
     """
     time, last = np.arange(count) * stride / rate, first + (count - 1) * stride + 1
@@ -181,7 +182,7 @@ def window_motion(
 def _unfiltered_rows(
     layout: Layout, signals: SignalWindow, first: int, motion: Motion
 ) -> Array:
-    """Unfiltered rows at consecutive samples, (slots, samples).
+    """Unfiltered rows at consecutive samples, (s, samples), with s elements per row.
 
     Args:
         layout: Layout of the rows.
@@ -226,9 +227,9 @@ def _unfiltered_rows(
 def _smoothed_load(
     layout: Layout, signals: SignalWindow, first: int, count: int
 ) -> Array:
-    """Load (torques of the bodies) averaged around each sample with a Hann window, (count, n).
+    """Load (torques of the bodies) averaged with a Hann window around each sample, (count, n).
 
-    The window is as long as the noise of the positions is correlated.
+    The length of the Hann window is the correlation length of the position noise.
 
     Args:
         layout: Layout of the rows.
@@ -256,7 +257,7 @@ def _law_factor(
 ) -> Array | float:
     """Factor of the column of a law that depends on load, time or temperature, (count,).
 
-    Zero if the window has no times and temperatures.
+    The factor is zero if the window has no times and temperatures.
 
     Args:
         signals: The window.
@@ -274,7 +275,7 @@ def _law_factor(
 
 
 def _add_products(rows: RowArrays, z: Array, sums: Sums) -> None:
-    """Add the products of all pairs of slots of each channel to the sums."""
+    """Add the Gram matrix of each channel's columns to the sums."""
     for slot, width, at in zip(rows.start, rows.width, rows.group_gram, strict=True):
         group = z[slot : slot + width]
         sums.products[at : at + width**2] += (group @ group.T).ravel()

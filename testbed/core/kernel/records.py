@@ -15,26 +15,26 @@ from testbed.core.robot.joint_law import JointLaw
 # Entries of a row for one body: one entry per barycentric parameter.
 
 ENTRY_PARAMETERS = (1, 2, 4, 5, 6, 8, 9, 3, 7, 0)
-"""Barycentric parameter of each entry, an index in the order mbar mbx mby mbz Kxx ... Kzz.
+"""Barycentric parameter of each row entry, an index in the order mbar mbx mby mbz Kxx ... Kzz.
 
-An eleventh entry is mbar as it acts on the carriers.
+An eleventh entry is the effect of mbar on the carrying bodies.
 """
 
 LEADING_ENTRIES = 7
 """Number of leading entries computed together; `rows.fill_extra_entries` computes the others."""
 
 MASS_ENTRY = 9
-"""Entry of the mass of a body on the bedplate; the next is the mass as it acts on carriers."""
+"""Row entry of the mass of a body on the bedplate; the next is its mass acting on carriers."""
 
 FORCE_ENTRIES = (0, 1, 7, MASS_ENTRY)
-"""Entries of a force, a screw without angular part: first moments and mass."""
+"""Row entries of a force, a screw without angular part: first moments and mass."""
 
 # Indices of screws in the workspace.
 
 REVOLUTE_SEED, PRISMATIC_SEED, SEED_COUNT = 6, 7, 8
-"""Constant screws of a revolute and a prismatic joint on its own body; number of constant screws.
+"""Indices of the constant screws of a revolute and a prismatic joint; number of constant screws.
 
-The first six are those of the measured wrench.
+The first six constant screws are those of the measured wrench.
 """
 
 # Sizes of blocks, the fastest by measurement (docs/identification.md).
@@ -46,13 +46,16 @@ MAX_BLOCK_ROWS = 320
 """Largest number of rows per block of the Gram matrices."""
 
 FILTER_SAMPLES = 128
-"""Samples that the filter processes at once."""
+"""Number of samples that the filter processes at once."""
 
 B, D = NB + 8, MAX_BLOCK_ROWS + 8
-"""Strides of slots, per sample block and row block; powers of two would share few cache lines."""
+"""Strides between arrays of a sample block and of a row block.
+
+Powers of two would map the arrays to few cache lines.
+"""
 
 MAX_BLOCK_BYTES = 1_800_000
-"""Largest size of the slots of a block of rows [bytes]."""
+"""Largest size of the arrays of a block of rows [bytes]."""
 
 # Sine and cosine: reduction by a multiple of pi, then a polynomial in the squared argument.
 
@@ -77,7 +80,8 @@ SINE_COEFFICIENTS = (
 )
 """Polynomial for (sin r - r) / r^3 in r^2, |r| <= pi/2, highest power first.
 
-Interpolated at Chebyshev's eight nodes of [0, (pi/2)^2]; error at most 1e-17 (tests/kernel).
+The polynomial interpolates at the eight Chebyshev nodes of [0, (pi/2)^2]; its error is at most
+1e-17 (tests/kernel).
 """
 
 COSINE_COEFFICIENTS = (
@@ -89,7 +93,7 @@ COSINE_COEFFICIENTS = (
     -0.0013888888888884767,
     0.04166666666666666,
 )
-"""Polynomial for (cos r - 1 + r^2 / 2) / r^4, at seven nodes; error at most 1.2e-17."""
+"""Polynomial for (cos r - 1 + r^2 / 2) / r^4 in r^2, from seven nodes; error at most 1.2e-17."""
 
 
 Ints = NDArray[np.int64]
@@ -104,8 +108,8 @@ def int_array(values: AnyArray | list[int]) -> Ints:
 class LinkArrays(NamedTuple):
     """Arrays of a robot's links, carriers first.
 
-    Each row of `joint` holds cos and sin of the lean about x, the offset, the constant turn about
-    z, and its cos and sin.
+    Each row of `joint` holds cosine and sine of the twist angle about x, the offset, the constant
+    angle about z, and its cosine and sine.
     """
 
     coordinate: Ints  # index of the joint, -1 for a resting frame
@@ -119,9 +123,10 @@ class LinkArrays(NamedTuple):
 
 
 class RowArrays(NamedTuple):
-    """Arrays that pair screws with links and place the entries of rows.
+    """Arrays that pair screws with links and assign row entries to slots.
 
-    A pair is a channel's screw on one link. Entries are written to the slots of the channel.
+    A pair is the screw of a channel on one link. A slot is an array for one element of the
+    channel's row, with one number per sample.
     """
 
     first: Ints  # first pair of each link
@@ -150,16 +155,16 @@ class RowArrays(NamedTuple):
 
 
 REST_VARIANCE = 1000.0
-"""Variance of the unknown friction at rest, per sample, relative to that of the noise."""
+"""Variance of the unknown friction at rest, per sample, relative to the noise variance."""
 
 MAX_REST_VARIANCE = 10.0
-"""Largest variance of a row by friction at rest for the row to count, relative to the noise.
+"""Largest variance of a valid row due to friction at rest, relative to the noise variance.
 
-It is conditional on earlier rows.
+The variance is conditional on earlier rows.
 """
 
 MAX_REST_SHARE = 0.5
-"""Largest share of a row's squared weights at rest for the row to count."""
+"""Largest share of the squared filter weights of a valid row at samples at rest."""
 
 
 NO_LAW = -1
@@ -167,7 +172,7 @@ NO_LAW = -1
 
 
 def law_number(law: JointLaw) -> int:
-    """Index of a law in LAWS; `NO_LAW` if its column is not compiled.
+    """Index of a law in JOINT_LAWS; `NO_LAW` if its column is not compiled.
 
     Args:
         law: Law of a joint's torque.
@@ -185,7 +190,7 @@ EMPTY_MATRIX, EMPTY_VECTOR = np.zeros((0, 0)), np.zeros(0)
 
 
 class SignalWindow(NamedTuple):
-    """Window of a recording, with the filters and the samples that become rows."""
+    """Window of a recording, with its filters and the samples at which rows are computed."""
 
     position: Array
     velocity: Array  # empty if computed from the positions
@@ -222,7 +227,7 @@ def signals_of_motion(q: Array, qd: Array, qdd: Array, channels: int) -> SignalW
 def signal_blocks(
     signals: SignalWindow, size: int
 ) -> Iterator[tuple[int, SignalWindow]]:
-    """Parts of a window with at most `size` rows, and their first rows' indices."""
+    """Index of the first row, and part of a window with at most `size` rows."""
     for first in range(0, signals.row_count, size):
         number = min(size, signals.row_count - first)
         start = signals.start + first * signals.step
@@ -234,8 +239,8 @@ class Block(NamedTuple):
 
     Attributes:
         first: Index of the first row.
-        rows: Values of the slots, (slots, rows).
-        counted: Number of rows that count, by channel, (channels,).
+        rows: Values of all row elements (slots), (slots, rows).
+        counted: Number of valid rows of each channel, (channels,).
     """
 
     first: int
@@ -244,7 +249,7 @@ class Block(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Workspace of one thread of the kernel: flat arrays of slots."""
+    """Workspace of one thread of the kernel: flat arrays."""
 
     U: Array  # coordinate of each link and its two derivatives
     N: Array  # positions of one encoder around a block, for the convolution
@@ -262,10 +267,11 @@ class Sums(NamedTuple):
     """Sums over the rows of a window.
 
     Attributes:
-        row_counts: Number of rows that count, by channel, (channels,).
-        products: Products of all pairs of a channel's slots, lower triangles, channel by channel;
-            or empty.
-        squares: Sum of the squares of all samples that were read, (1,); finite only if these are.
+        row_counts: Number of valid rows of each channel, (channels,).
+        products: Gram matrix of the columns of each channel, lower triangle, channel by channel;
+            may be empty.
+        squares: Sum of the squares of all samples that were read, (1,); finite only if all these
+            samples are finite.
     """
 
     row_counts: Array

@@ -1,9 +1,10 @@
-"""Regressor rows at samples: coordinates, motions of bodies, entries in their slots.
+"""Regressor rows at samples: joint coordinates, motions of bodies, and row entries.
 
-Motions of bodies X, screws V and coordinates U are arrays of slots B numbers apart, one number per
-sample; rows Y have slots D numbers apart. P is the motion or the screw of the carrier, J the
-constants of a link (cos and sin of the lean about x, offset, turn about z, its cos and sin). Only
-rotations about z and x are needed in canonical frames.
+Each component of a quantity is stored in a slot: an array with one number per sample. The slots of
+body motions X, screws V and joint coordinates U are B numbers apart, the slots of the rows Y are D
+numbers apart. P is the motion or the screw of the carrier, J holds the constants of a link: cosine
+and sine of the twist angle about x, offset, angle about z, and its cosine and sine. Canonical
+frames need rotations about z and x only. A row has one entry per parameter of the body.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ SCREW_SIZE = 6 * B
 
 @llvm_inline
 def vector(X, at, k):
-    """Vector of three consecutive slots, from slot `at` on, at sample k."""
+    """Vector at sample k, read from three consecutive component arrays that start at `at`."""
     return X[at + k], X[at + B + k], X[at + 2 * B + k]
 
 
 @llvm_inline
 def write_vector(X, at, k, v):
-    """Write a vector to three consecutive slots, from slot `at` on, at sample k."""
+    """Write a vector at sample k to three consecutive component arrays that start at `at`."""
     X[at + k], X[at + B + k], X[at + 2 * B + k] = v
 
 
@@ -93,7 +94,7 @@ def rotate_z(c, s, v):
 def sine_cosine(q, shift, s, c):
     """Compute sine s and cosine c of q + shift for a block of samples.
 
-    Reduction by multiples of pi, then polynomials; accurate to rounding.
+    The argument is reduced by multiples of pi; polynomials then give values accurate to rounding.
     """
     for k in range(NB):
         x = q[k] + shift
@@ -120,7 +121,7 @@ def rotate_right_angle(J, v):
 
 @llvm_inline
 def rotate_x(J, v):
-    """Components of v in a frame rotated about x, J being cosine and sine."""
+    """Components of v in a frame rotated about x (cosine J[0], sine J[1])."""
     return v[0], J[0] * v[1] + J[1] * v[2], J[0] * v[2] - J[1] * v[1]
 
 
@@ -132,9 +133,9 @@ def compute_motion(J, turns, P, X, qd, qdd):
 
     Args:
         J: Constants of the link.
-        turns: 1 for a revolute joint, 0 for a prismatic joint or a resting frame.
+        turns: 1 for a revolute joint, 0 for a prismatic joint or a fixed frame.
         P: Motion of the carrier.
-        X: Motion of the body, written.
+        X: Motion of the body, overwritten.
         qd: Joint velocity.
         qdd: Joint acceleration.
     """
@@ -161,14 +162,14 @@ def compute_motion(J, turns, P, X, qd, qdd):
 
 @llvm_inline
 def first_moment_entry(u, v, a, o, i):
-    """Entry of first-moment component i, v O + a x u, for a screw (u, v)."""
+    """Row entry of first-moment component i, `v O + a x u`, for a screw (u, v)."""
     return inner(v, matrix_column(o, i)) + cross(a, u)[i]
 
 
 def screw_propagation(leaning):
-    """Make `propagate_screw` for links that lean about x by a right or any angle.
+    """Make `propagate_screw` for links with a twist angle of 90 degrees or of any size.
 
-    Most joints are normal to the joint before, and need no products for the lean.
+    Most joint axes are normal to the preceding axis; their rotation about x needs no products.
 
     Args:
         leaning: Function `rotate_right_angle` or `rotate_x`.
@@ -176,9 +177,9 @@ def screw_propagation(leaning):
 
     @llvm_inline
     def propagate_screw(J, P, V, X, Y):
-        """Transform a screw from the carrier, P, to the body, V, and fill its row there, Y.
+        """Transform a screw from the carrier, P, to the body, V, and fill its row Y.
 
-        Entries: mbx, mby, Kxx, Kxy, Kxz, Kyz, Kzz.
+        The row entries belong to mbx, mby, Kxx, Kxy, Kxz, Kyz, Kzz.
         """
         lean, r = (J[0], J[1]), (J[2], J[3], J[4])
         for k in range(NB):
@@ -229,7 +230,7 @@ def add_displacement(X, q, qd, qdd):
 def propagate_force(J, P, V, X, Y):
     """Transform a screw without angular part from P to V, and fill its row Y.
 
-    Entries: mbx, mby.
+    The row entries belong to mbx, mby.
     """
     lean = J[0], J[1]
     for k in range(NB):
@@ -245,7 +246,7 @@ def propagate_force(J, P, V, X, Y):
 def fill_revolute_row(X, Y):
     """Fill the row of a revolute joint's screw on its own body.
 
-    The screw is u = z, v = 0; entries as of `propagate_screw`.
+    The screw is u = z, v = 0; the row entries are those of `propagate_screw`.
     """
     for k in range(NB):
         o, spin = acceleration_matrix(X, k), X[E + 2 * B + k]
@@ -264,15 +265,15 @@ def fill_prismatic_row(X, Y):
 
 @llvm_inline
 def fill_extra_entries(turns, V, X, Y):
-    """Fill the entries mbz, Kyy and mbar, which few bodies need.
+    """Fill the row entries of mbz, Kyy and mbar, which only few bodies need.
 
-    mbar has two entries: for a body on the bedplate, and as it acts on the carriers.
+    mbar has two entries: one for a body on the bedplate, one for its effect on the carriers.
 
     Args:
         turns: 1 for a screw with an angular part, 0 for a force.
         V: The screw.
         X: Motion of the body.
-        Y: Rows, written.
+        Y: Rows, overwritten.
     """
     for k in range(NB):
         u, v = vector(V, 0, k), vector(V, 3 * B, k)
@@ -302,7 +303,7 @@ def dot(X, Y, n):
 
 @numba_inline
 def read_column(source, first, count, column, U):
-    """Read samples of one column, with zeros up to a full block."""
+    """Read samples of one column, padded with zeros to a full block."""
     values = source[first : first + count, column]
     for k in range(count):
         U[k] = values[k]
@@ -312,7 +313,7 @@ def read_column(source, first, count, column, U):
 
 @numba_inline
 def differentiate(source, first, count, column, taps, N, U):
-    """Write position, velocity, acceleration to U: convolution of encoder samples with taps."""
+    """Convolve encoder samples with `taps`; write position, velocity, acceleration to U."""
     half = taps.shape[1] // 2
     for k in range(count + 2 * half):
         N[k] = source[first - half + k, column]
@@ -363,7 +364,7 @@ def move_link(i, robot, work):
 
 @numba_inline
 def fill_link(i, robot, rows, work, Y, at):
-    """Fill the entries of all rows for link i, from column `at` on."""
+    """Fill the entries of all rows for link i, starting at sample `at`."""
     X, J = work.X[robot.place[i]], robot.joint[i]
     for e in range(rows.first[i], rows.first[i + 1]):
         V, P = work.V[rows.target[e]], work.V[rows.source[e]]
@@ -390,16 +391,16 @@ def fill_link(i, robot, rows, work, Y, at):
 
 @numba_inline
 def no_column(number, qd, qdd, Y):
-    """Leave the column of an unknown law unchanged."""
+    """Leave the regressor column of an unknown joint law unchanged."""
 
 
 def column_with_law(number, column, others):
-    """Extend a compiled function of laws' columns by one law.
+    """Extend the compiled function that fills regressor columns of joint laws by one law.
 
     Args:
-        number: Index of the law in LAWS.
+        number: Index of the law in JOINT_LAWS.
         column: Column of the law as a function of velocity and acceleration.
-        others: Compiled function of the laws so far, which is called for other indices.
+        others: Compiled function of the previous laws, called for other indices.
     """
     column = llvm_inline(column)
 
@@ -421,7 +422,7 @@ for number, law in enumerate(JOINT_LAWS):
 
 @numba_inline
 def fill_other_slots(rows, signals, first, count, work, Y, at):
-    """Fill joint terms, measurements and marks of rest of all rows, from column `at` on."""
+    """Fill joint terms, measurements and rest flags of all rows, starting at sample `at`."""
     for t in range(len(rows.term_slot)):
         U, y = work.U[rows.term_link[t]], rows.term_slot[t] * D + at
         law_column(rows.term_law[t], U[B : 2 * B], U[2 * B :], Y[y : y + NB])
@@ -443,7 +444,7 @@ def fill_other_slots(rows, signals, first, count, work, Y, at):
 
 @compiled_function
 def fill_rows(robot, rows, signals, first, count, work, Y):
-    """Fill unfiltered rows at `count` samples, with zeros up to a full block.
+    """Fill unfiltered rows at `count` samples, padded with zeros to a full block.
 
     Args:
         robot: Arrays of the links.
@@ -452,7 +453,7 @@ def fill_rows(robot, rows, signals, first, count, work, Y):
         first: First sample.
         count: Number of samples.
         work: Workspace.
-        Y: Rows, written.
+        Y: Rows, overwritten.
     """
     for at in range(0, count, NB):
         samples = min(NB, count - at)

@@ -1,7 +1,7 @@
-"""Independent parameters of a minimal set by elimination from the tips to the base.
+"""Independent parameters of a minimal set, by elimination from the end bodies to the base.
 
-An entry is a linear form on a body's redefined parameters that the rules keep. Where some
-parameters are known to be zero, entries can become linearly dependent.
+An entry is a candidate parameter: a linear form on the redefined parameters of a body that the
+regrouping rules keep. If some parameters are known to be zero, entries can be linearly dependent.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class CandidateParameter:
     """Candidate parameter: a linear form on the ten redefined parameters of a body.
 
     Redefined parameters are a body's barycentric parameters mbar, mb, K (mass, first moments,
-    inertia tensor), plus what migrates from the bodies that it carries.
+    inertia tensor) plus the parameters regrouped into them from the bodies that it carries.
 
     Attributes:
         label: Symbolic name.
@@ -35,7 +35,7 @@ class CandidateParameter:
         body: Index of the body, or BEDPLATE.
         form: Coefficients on the body's ten redefined parameters, (10,).
         unit_direction: Ten parameters of the body for which this form is 1, the body's other forms
-            are 0, and nothing migrates, (10,); zero for the bedplate.
+            are 0, and no parameter migrates to the carrier, (10,); zero for the bedplate.
         is_axial_inertia: True for the inertia that the body's joint accelerates: K_ee about a
             revolute joint's axis e, or mbar of a prismatic joint.
     """
@@ -49,7 +49,7 @@ class CandidateParameter:
 
     @property
     def axial_joint(self) -> int:
-        """Index of the joint that accelerates this inertia, K_ee or mbar; else -1."""
+        """Index of the joint for an axial inertia (K_ee or mbar); -1 for other parameters."""
         return self.body if self.is_axial_inertia else -1
 
 
@@ -60,10 +60,10 @@ def candidate_parameters(
     gravity: Array,
     tared: bool,
 ) -> list[CandidateParameter]:
-    """Candidate parameters of all bodies, tips to base, then of the static wrench.
+    """Candidate parameters of all bodies, end bodies first, then of the static wrench.
 
-    The static wrench is added for the bedplate's wrench under gravity, unless it is tared or the
-    base moves.
+    Parameters of the static wrench are added for the bedplate's wrench under gravity, unless the
+    wrench is tared or the base moves.
 
     Args:
         tree: The robot.
@@ -104,7 +104,7 @@ def parameter_label(tree: Tree, body: int, parameter: KeptParameter) -> Label:
 
 
 def static_wrench_parameters(tree: Tree, gravity: Array) -> list[CandidateParameter]:
-    """Entries of the static wrench: total mass, and first moment normal to gravity.
+    """Candidate parameters of the static wrench: total mass, first moment normal to gravity.
 
     The wrench of the bedplate about its origin is F_0 = -M g, L_0 = -s x g. M is the sum of the
     first bodies' mbar, s the sum of their first moments and of the parameters that migrate into the
@@ -128,7 +128,7 @@ def static_wrench_parameters(tree: Tree, gravity: Array) -> list[CandidateParame
 
 
 def _static_entry(symbol: Symbol, form: Array) -> CandidateParameter:
-    """Entry of the bedplate with the given symbol and form, (10,)."""
+    """Candidate parameter of the bedplate with the given symbol and form, (10,)."""
     return CandidateParameter(
         Label((Term(symbol),)),
         UNIT_BY_KIND[symbol.head],
@@ -145,15 +145,15 @@ def shared_parameters_first(
     bodies: Sequence[RegroupedBody],
     torque_bodies: Sequence[RegroupedBody],
 ) -> list[CandidateParameter]:
-    """Sort the wrench set's entries: parameters shared with the torque set first.
+    """Sort the entries of the wrench set, beginning with parameters shared with the torque set.
 
-    Shared parameters have the same label and coefficients in both sets, and no body beyond is
-    regrouped in another way. They follow the order of the torque set, tips first; then the others
-    of each body, also tips first, as K, mb, mbar.
+    Shared parameters have the same label and coefficients in both sets, and the bodies beyond are
+    regrouped in the same way. They are in the order of the torque set. The other parameters follow
+    body by body, end bodies first, in the order K, mb, mbar.
 
     Args:
         tree: The robot.
-        entries: Entries of the wrench set.
+        entries: Candidate parameters of the wrench set.
         bodies: Bodies regrouped for the wrench.
         torque_bodies: Bodies regrouped for the joint torques.
     """
@@ -181,8 +181,8 @@ def shared_parameters_first(
 def carrier_gain(tree: Tree, bodies: Sequence[RegroupedBody], body: int) -> Array:
     """Gain matrix from a body's ten redefined parameters to its carrier's, (10, 10).
 
-    Barycentric parameters of a carrier already contain the carried masses; only to the bedplate
-    are mass and first moment added here.
+    The barycentric parameters of a carrying body already contain the carried masses. The gain
+    matrix therefore adds mass and first moment to the bedplate only.
     """
     if tree.parents[body] >= 0:
         return bodies[body].gain
@@ -195,7 +195,7 @@ def carrier_gain(tree: Tree, bodies: Sequence[RegroupedBody], body: int) -> Arra
 def barycentric_rows(
     tree: Tree, bodies: Sequence[RegroupedBody], entries: Sequence[CandidateParameter]
 ) -> Array:
-    """Coefficients of entries on the 10 n barycentric parameters, (entries, 10 n)."""
+    """Coefficients of candidate parameters on the barycentric parameters, (entries, 10 n)."""
     redefined = redefined_parameter_rows(tree, bodies)
     if any(entry.body == BEDPLATE for entry in entries):
         first_bodies = tree.children(BEDPLATE)
@@ -208,22 +208,22 @@ def barycentric_rows(
 
 
 PIVOT_TOLERANCE = 1e-9
-"""Smallest change, by unit parameters, of an entry or of a carrier that is not rounding."""
+"""Smallest change of an entry or of a carrier by unit parameters that is not a rounding error."""
 
 ROUNDING_TOLERANCE = 1e-13
-"""Share of a direction's largest parameter below which a value is rounding of zero."""
+"""Share of a direction's largest parameter below which a value is a rounding error of zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """Independent entries, and coefficients of the dependent entries on these.
+    """Independent candidate parameters (entries), and dependencies of the others on these.
 
     Attributes:
         independent_indices: Indices of the independent entries, ascending.
-        right_inverse: Barycentric parameters for which an independent entry is 1 and all other
-            independent entries are 0, a column for each, (10 n, independent).
-        dependencies: Coefficients of every dependent entry on the independent entries, by index;
-            empty for entries that are zero.
+        right_inverse: Barycentric parameters for which one independent entry is 1 and the others
+            are 0, one column per independent entry, (10 n, independent).
+        dependencies: Coefficients of each dependent entry on the independent entries, keyed by
+            their indices; empty for entries that are zero.
     """
 
     independent_indices: tuple[int, ...]
@@ -240,9 +240,9 @@ class _Directions:
     """Directions of change of the parameters of a body and its carried bodies.
 
     Attributes:
-        rows: Changes of the body's ten redefined parameters, then changes of all barycentric
-            parameters that cause these, (k, 10 + 10 n).
-        entries: Index of the only entry that each direction changes, by 1, or NO_ENTRY, (k,).
+        rows: Changes of the body's ten redefined parameters, followed by the changes of all
+            barycentric parameters that cause these, (k, 10 + 10 n).
+        entries: Index of the only entry that each direction changes (by 1), or NO_ENTRY, (k,).
     """
 
     rows: Array
@@ -254,11 +254,11 @@ class _Directions:
         return np.asarray(np.abs(self.rows[:, 10:]).max(axis=1))
 
     def subset(self, selection: NDArray[np.bool_ | np.intp]) -> _Directions:
-        """Subset of the directions, by mask or index."""
+        """Subset of the directions, given by a mask or by indices."""
         return _Directions(self.rows[selection], self.entries[selection])
 
     def union(self, other: _Directions) -> _Directions:
-        """Directions of this set, then of another set."""
+        """Directions of this set, followed by the directions of another set."""
         entries = np.concatenate([self.entries, other.entries])
         return _Directions(np.vstack([self.rows, other.rows]), entries)
 
@@ -269,10 +269,10 @@ def find_independent(
     entries: Sequence[CandidateParameter],
     known_zero: NDArray[np.bool_],
 ) -> Elimination:
-    """Find the independent entries by elimination from the tips to the base.
+    """Find the independent entries by elimination from the end bodies to the base.
 
-    Of dependent entries of one body, those given first are kept; of several bodies, those
-    nearest the tips.
+    Among dependent entries of one body, the first ones are kept; among those of several bodies, the
+    entries of the bodies farthest from the base.
 
     Args:
         tree: The robot.
@@ -326,7 +326,7 @@ def find_independent(
 def _own_directions(
     n: int, body: int, values: Sequence[Array], entries: int | Sequence[int]
 ) -> _Directions:
-    """Directions that change only a body's own parameters.
+    """Directions that change only the parameters of one body.
 
     Args:
         n: Number of bodies.
@@ -344,11 +344,11 @@ def _own_directions(
 def _unconstrained_directions(
     n: int, body: int, entries: dict[int, CandidateParameter], directions: _Directions
 ) -> _Directions:
-    """Directions for all entries of a body without known zeros.
+    """Directions of change for all entries of a body without known zeros.
 
-    The unit direction of each entry of the body, and the directions of carried bodies' entries,
-    compensated by the body's own parameters. So the carrier, which must have no known zeros either,
-    is not changed.
+    The result contains the unit direction of each entry of the body, and the directions of the
+    carried bodies' entries, compensated by the body's own parameters. The carrier, which must have
+    no known zeros either, is therefore not changed.
 
     Args:
         n: Number of bodies.
@@ -374,10 +374,10 @@ def _free_directions(
     entries: dict[int, CandidateParameter],
     known_zero: NDArray[np.bool_],
 ) -> _Directions:
-    """Directions of a body's own parameters that keep known zeros at zero.
+    """Directions of change of a body's own parameters that keep known zeros at zero.
 
-    Directions that change one of the body's entries alone, then single parameters; none of these is
-    assigned to an entry yet.
+    Directions that change a single entry of the body come first, then single parameters. These
+    directions are not yet assigned to entries.
 
     Args:
         n: Number of bodies.
@@ -396,19 +396,19 @@ def _free_directions(
 def _assign_entries(
     body_entries: dict[int, CandidateParameter], directions: _Directions
 ) -> tuple[_Directions, dict[int, dict[int, float]]]:
-    """Assign free directions to a body's entries by Gaussian elimination.
+    """Assign free directions of change to a body's entries by Gaussian elimination.
 
     The pivot of an entry is the first free direction with at least a tenth of the largest change,
     relative to the size of the direction. If no change exceeds PIVOT_TOLERANCE, the entry depends
-    on the entries that have a direction.
+    on the entries that already have a direction.
 
     Args:
         body_entries: Candidate parameters of the body, by index.
         directions: Free directions, and directions of carried bodies' entries.
 
     Returns:
-        Directions of this and earlier bodies' entries, each changing a single entry, and the
-        remaining free directions; and coefficients of the dependent entries, by index.
+        Directions that each change a single entry of this or of a carried body, with the remaining
+        free directions; and coefficients of the dependent entries, keyed by index.
     """
     combinations = {}
     for k, entry in body_entries.items():
@@ -439,14 +439,15 @@ def _carrier_directions(
 ) -> tuple[_Directions, _Directions]:
     """Convert directions of a body to changes of the carrier's parameters.
 
-    Free directions are reduced to row echelon form, and their pivots eliminated from the others.
+    Free directions are reduced to row echelon form. Their pivots are eliminated from the other
+    directions.
 
     Args:
         directions: Directions of the body.
         gain: Gain matrix from the body's ten redefined parameters to the carrier's, (10, 10).
 
     Returns:
-        Directions that change an entry and no parameter of the carrier; and the other directions.
+        Directions that change an entry but no parameter of the carrier; and the other directions.
     """
     rows = np.hstack([directions.rows[:, :10] @ gain.T, directions.rows[:, 10:]])
     is_free = directions.entries == NO_ENTRY
@@ -466,14 +467,14 @@ def _carrier_directions(
 def reduced_row_echelon(rows: Array, width: int) -> tuple[list[int], Array]:
     """Reduced row echelon form of directions: pivot columns, and independent rows.
 
-    A row whose largest remainder is at most PIVOT_TOLERANCE of its size is left out.
+    A row is left out if its largest remainder is at most PIVOT_TOLERANCE times its size.
 
     Args:
-        rows: Directions, (k, N); the columns from `width` on give the size for the tolerance.
-        width: Number of leading columns that pivots can be in.
+        rows: Directions, (k, N); the columns from index `width` on determine the size of a row.
+        width: Number of leading columns that may contain pivots.
 
     Returns:
-        Pivot columns; rows with 1 in the own pivot column and 0 in the other pivot columns,
+        Pivot columns; and rows with 1 in their own pivot column and 0 in the other pivot columns,
         (pivots, N).
     """
     pivots: list[int] = []

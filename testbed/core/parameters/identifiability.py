@@ -1,8 +1,8 @@
 """Identifiability map: standard parameters that each instrument can identify.
 
-For each of the ten standard parameters of every body: identifiable alone, only in combination
-with other parameters, or not; by joint torques, and by the bedplate in three variants.
-Computed from the model alone, before any data.
+Each of the ten standard parameters of every body is identifiable alone, only in combination with
+other parameters, or not at all. The map is computed for joint torques and for three variants of the
+bedplate, from the model alone, before any measurement.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ NOT_IDENTIFIABLE, IDENTIFIABLE_IN_COMBINATION, IDENTIFIABLE_ALONE = 0, 1, 2
 """Levels of a parameter: not identifiable, identifiable in combination, identifiable alone."""
 
 INSTRUMENTS = ("torques", "bedplate", "tared bedplate", "bedplate, pedestal unknown")
-"""Joint torques; the bedplate; the bedplate with the static wrench in one posture subtracted;
-the bedplate with unknown mass and moments of the pedestal."""
+"""Joint torques; the bedplate; the bedplate after subtraction of the static wrench in one posture;
+the bedplate with a pedestal of unknown mass and moments."""
 
 _TOLERANCE = 1e-9
-"""Largest component of a unit parameter, in or outside the identifiable space, that is zero."""
+"""Magnitude below which components inside or outside the identifiable space count as zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class InstrumentIdentifiability:
 
     Attributes:
         instrument: Name: one of INSTRUMENTS, or "force sensor", "force sensor, tared".
-        count: Number of identifiable combinations, including an unknown pedestal's.
+        count: Number of identifiable combinations, including those of an unknown pedestal.
         standard: NOT_IDENTIFIABLE, IDENTIFIABLE_IN_COMBINATION or IDENTIFIABLE_ALONE for each
             standard parameter, (n, 10), in the order m mx my mz Ixx Ixy Iyy Ixz Iyz Izz.
     """
@@ -62,8 +62,8 @@ def identifiability(
         zeros: Barycentric parameters known to be zero, as in `minimal_set`.
 
     Returns:
-        Identifiability by each of INSTRUMENTS, in this order; for a part of a robot on a force
-        sensor, by "force sensor" and "force sensor, tared".
+        Identifiability for each of INSTRUMENTS, in this order; for a part of a robot on a force
+        sensor, identifiability for "force sensor" and "force sensor, tared".
     """
     g = tree.gravity_or(gravity)
     plate = _sparse_combinations(minimal_set(tree, "wrench", g, zeros))
@@ -97,8 +97,8 @@ class _Combinations:
 
     Attributes:
         rows: Coefficients on the pedestal's unknowns, if any, and the 10 n barycentric parameters,
-            a row for each combination.
-        lift: Right inverse of the rows: rows times lift is the identity.
+            one row per combination.
+        lift: Right inverse of the rows: `rows @ lift` is the identity.
     """
 
     rows: sparse.csr_array
@@ -109,10 +109,10 @@ class _Combinations:
     ) -> NDArray[np.int_]:
         """Identifiability level of every standard parameter, (10 n,).
 
-        With the combinations as rows R on the standard parameters, and p' the unit row of a
-        parameter: IDENTIFIABLE_ALONE if p' is in the row space of R, so that p' = p' L R for any L
-        with R L = 1; IDENTIFIABLE_IN_COMBINATION if the parameter has a coefficient in R; else
-        NOT_IDENTIFIABLE.
+        Let R be the matrix of the combinations on the standard parameters, and p' the unit row of a
+        parameter. The level is IDENTIFIABLE_ALONE if p' is in the row space of R, so that
+        p' = p' L R for any L with R L = 1; IDENTIFIABLE_IN_COMBINATION if the parameter has a
+        coefficient in R; otherwise NOT_IDENTIFIABLE.
 
         Args:
             barycentric_matrix: Matrix from standard to barycentric parameters, (10 n, 10 n).
@@ -146,7 +146,7 @@ def _sparse_combinations(minimal: MinimalSet) -> _Combinations:
 
 
 def _largest_magnitudes(matrix: sparse.sparray, axis: int = 0) -> Array:
-    """Largest magnitude in each column of a sparse matrix; in each row for axis 1."""
+    """Largest magnitude in each column (axis 0) or in each row (axis 1) of a sparse matrix."""
     maxima = abs(sparse.csr_array(matrix)).max(axis=axis) if min(matrix.shape) else None
     return (
         np.zeros(matrix.shape[1 - axis]) if maxima is None else maxima.toarray().ravel()
@@ -158,8 +158,9 @@ def _with_unknown_pedestal(
 ) -> _Combinations:
     """Identifiable combinations of a bedplate with a pedestal of unknown mass and moments.
 
-    The pedestal adds an unknown to each entry of the static wrench, which has no entries without
-    gravity. Columns: these unknowns, then the 10 n barycentric parameters.
+    The pedestal adds one unknown to each parameter of the static wrench (total mass and first
+    moments); without gravity there are none. The columns belong to these unknowns, then to the 10 n
+    barycentric parameters.
 
     Args:
         tree: The robot.

@@ -1,12 +1,12 @@
 """Minimal set of bodies and joint terms together, and regrouping of rotor inertias.
 
-Beside the bodies' dynamics, joint torques contain joint terms: a rotor adds qdd_j to row j, an
-offset a constant, friction functions of qd_j. Friction always has separate columns of the
-regressor, because without friction the torques are even in the velocities. A rotor has a
-separate column unless the inertia that it adds to is identified only by the joint's own
-acceleration; then rotor and inertia are regrouped into one minimal parameter. An offset always
-has a separate column; where a rotor is regrouped with a mass of constant weight, the offset
-contains the weight.
+In addition to the dynamics of the bodies, joint torques contain joint terms. In row j of the
+regressor, a rotor has the column qdd_j, an offset a constant, and friction has functions of qd_j.
+Friction always has separate columns, because torques without friction are even functions of the
+velocities. A rotor has a separate column unless the inertia to which it adds is identified by the
+joint's own acceleration only; then rotor and inertia are regrouped into one minimal parameter. An
+offset always has a separate column. If a rotor is regrouped with a mass of constant weight, the
+offset contains this weight.
 
 Source    derived for this project (docs/minimal-sets.md)
 """
@@ -44,14 +44,14 @@ from testbed.core.robot.tree import Tree
 class DriveSet(Value):
     """Minimal parameters of bodies and drives together, for the joint torques.
 
-    The unknowns are the minimal parameters of the bodies, which may contain regrouped terms, and
-    then the terms with a separate column of the regressor.
+    The unknowns are the minimal parameters of the bodies, which may include regrouped terms, then
+    the terms with a separate regressor column.
 
     Attributes:
         minimal: Minimal set of the bodies for joint torques.
         asked: All requested terms, law by law, each in tree order.
         terms: Requested terms with a separate column, in the same order.
-        columns: Contribution of a unit of every requested term to the unknowns, (count, asked).
+        columns: Contribution of a unit of each requested term to the unknowns, (count, asked).
         tree: The robot; only its geometry and its shafts matter.
     """
 
@@ -104,7 +104,7 @@ class DriveSet(Value):
     def matrix(self) -> Array:
         """Matrix of the unknowns on barycentric parameters and requested terms.
 
-        Shape (count, 10 n + asked), in the order of `asked`.
+        The shape is (count, 10 n + requested terms); the terms are in the order of `asked`.
         """
         n = self.minimal.matrix.shape[1]
         matrix = np.zeros((self.count, n + len(self.asked)))
@@ -141,7 +141,7 @@ class DriveSet(Value):
         Args:
             theta: Barycentric parameters, (n, 10).
             tree: Robot with the coefficients of the terms; terms of shafts have the value 0.
-            added: Additions to the coefficients by law, a number or (n,) each.
+            added: Values added to the coefficients, keyed by law; a number or (n,) each.
         """
         terms = [
             (term.law.coefficients(tree) + added.get(term.law, 0.0))[term.joint]
@@ -154,11 +154,11 @@ class DriveSet(Value):
         return unknowns
 
     def symbol(self, term: JointTerm) -> DriveSymbol:
-        """Symbol of a term: rotor/waist."""
+        """Symbol of a joint term, such as rotor/waist."""
         return DriveSymbol(term.law.kind, joint_and_shaft_names(self.tree)[term.joint])
 
     def _regrouped_terms(self, unknown: int) -> Iterator[Term]:
-        """Terms without a separate column that add to an unknown, with coefficients.
+        """Terms without a separate column that are part of an unknown, with coefficients.
 
         Args:
             unknown: Index of the unknown.
@@ -173,19 +173,19 @@ def with_joint_terms(
 ) -> DriveSet:
     """Minimal set of bodies and joint terms together, from the model alone.
 
-    A rotor inertia is added to the axial inertia of its joint where only the joint's own
-    acceleration identifies that inertia; all other terms have a separate column of the regressor.
+    A rotor inertia is added to the axial inertia of its joint if that inertia is identified by the
+    joint's own acceleration only; all other terms have a separate regressor column.
 
     Args:
         tree: The robot; only its geometry matters.
         minimal: Minimal set of the joint torques.
-        laws: Joint laws, by name or as values; a law holds at every joint, or, as "rotor/elbow",
-            at a single joint. User-defined laws count as friction: odd functions of the velocity.
-            Terms of shafts are left out: see `drive_set`.
+        laws: Joint laws, as names or as values; a law applies to every joint or, in the form
+            "rotor/elbow", to a single joint. User-defined laws are treated as friction, an odd
+            function of the velocity. Terms of shafts are left out: see `drive_set`.
 
     Raises:
         UnknownName: A law or joint does not exist.
-        ValueError: The set is not of the joint torques.
+        ValueError: The set is not a minimal set of the joint torques.
     """
     if minimal.model != "torque":
         raise ValueError(
@@ -224,20 +224,20 @@ def with_joint_terms(
 
 
 def _rotor_shares(minimal: MinimalSet, joints: list[int]) -> Array:
-    """Shares of rotors in the axial inertias of isolated joints, (joints, joints).
+    """Contributions of rotors to the axial inertias of isolated joints, (joints, joints).
 
-    A joint is isolated if only its own acceleration identifies its axial inertia. A rotor adds to
-    the minimal parameter that is the axial inertia of its joint. Where known zeros make such an
+    A joint is isolated if its axial inertia is identified by its own acceleration only. Its rotor
+    then adds to the minimal parameter that is this axial inertia. If known zeros make such an
     inertia a combination of other parameters, or another parameter a combination of such inertias,
-    the combination of their rotors is identifiable.
+    the corresponding combination of rotors is identifiable.
 
     Args:
         minimal: Minimal set of the joint torques.
         joints: Indices of the isolated joints with a rotor.
 
     Returns:
-        Rows by joint of the inertia, columns by joint of the rotor; columns of rotors with a
-        separate column of the regressor are zero.
+        Matrix with one row per joint of the inertia and one column per joint of the rotor; columns
+        of rotors that have a separate regressor column are zero.
     """
     positions = {joint: k for k, joint in enumerate(joints)}
     identifiable = np.zeros((len(minimal.dependent), len(joints)))
@@ -260,10 +260,10 @@ def _rotor_shares(minimal: MinimalSet, joints: list[int]) -> Array:
 def _isolated_joints(
     tree: Tree, gravity: Array, offsets: Collection[int]
 ) -> dict[int, float]:
-    """Joints whose axial inertia is identified only by the joint's own acceleration.
+    """Joints whose axial inertia is identified by the joint's own acceleration only.
 
-    Where that inertia also adds a constant weight to the torque of its joint j, joint j is isolated
-    only with an offset, which then contains the weight.
+    If this inertia also adds a constant weight to the torque of its joint, the joint is included
+    only if it has an offset, which then contains the weight.
 
     Args:
         tree: The robot.
@@ -271,7 +271,7 @@ def _isolated_joints(
         offsets: Indices of joints with an offset.
 
     Returns:
-        Constant force per unit of the inertia that the offset contains, by joint index.
+        Constant force per unit of inertia that is part of the offset, keyed by joint index.
     """
     forces = {}
     for j, functionals in enumerate(

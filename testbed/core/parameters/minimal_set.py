@@ -50,8 +50,8 @@ class MinimalSet(Value):
     Attributes:
         model: "torque" (joint torques, delta_d) or "wrench" (bedplate wrench, delta_r).
         gravity: Assumed gravity, (3,) [m/s^2], bedplate frame.
-        tared: True if only changes of the bedplate's static wrench count.
-        known_zero: True for barycentric parameters taken to be zero, (n, 10).
+        tared: True if only changes of the bedplate's static wrench are measured.
+        known_zero: True for barycentric parameters assumed to be zero, (n, 10).
     """
 
     model: Signal
@@ -91,7 +91,7 @@ class MinimalSet(Value):
 
     @property
     def of_sensor(self) -> bool:
-        """True if a force sensor in the robot measures the wrench, not the bedplate."""
+        """True if a force sensor in the robot, not the bedplate, measures the wrench."""
         return self.model == "wrench" and self._tree.sensor is not None
 
     @property
@@ -106,7 +106,7 @@ class MinimalSet(Value):
 
     @cached_property
     def _entries(self) -> tuple[CandidateParameter, ...]:
-        """Independent entries, in the order of the parameters."""
+        """Independent candidate parameters, in the order of the minimal parameters."""
         return tuple(self._candidates[k] for k in self._elimination.independent_indices)
 
     @property
@@ -131,33 +131,33 @@ class MinimalSet(Value):
 
     @property
     def bodies(self) -> tuple[int, ...]:
-        """Index of the body each parameter belongs to; -1 for the bedplate."""
+        """Index of the body of each parameter; -1 for the bedplate."""
         return tuple(entry.body for entry in self._entries)
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Table and row of the rule that keeps each parameter: a key of `rules.RULE_REASONS`."""
+        """Table and row of the rule that keeps each parameter, a key of `rules.RULE_REASONS`."""
         return tuple(
             "base" if b < 0 else self._bodies[b].row.number for b in self.bodies
         )
 
     @cached_property
     def unidentifiable(self) -> tuple[str, ...]:
-        """Names of barycentric parameters that are in no combination, known zeros excluded."""
+        """Names of barycentric parameters in no minimal parameter, known zeros excluded."""
         is_absent = ~self.matrix.any(axis=0) & ~self.known_zero.ravel()
         return tuple(np.array(parameter_names(self._tree))[is_absent].tolist())
 
     @property
     def axial(self) -> tuple[int, ...]:
-        """Joint index of each parameter that is an axial inertia, K_ee or mbar; else -1."""
+        """Joint index of each parameter that is an axial inertia (K_ee or mbar); -1 for others."""
         return tuple(entry.axial_joint for entry in self._entries)
 
     @property
     def dependent(self) -> tuple[tuple[int, dict[int, float]], ...]:
-        """Candidate parameters that known zeros make combinations of the minimal parameters.
+        """Candidate parameters that depend on the minimal parameters because of known zeros.
 
-        Pairs: the joint index if the candidate is an axial inertia, K_ee or mbar, else -1; and
-        coefficients on the minimal parameters, by index.
+        Each pair contains the joint index of the candidate if it is an axial inertia (K_ee or
+        mbar), otherwise -1, and its coefficients on the minimal parameters, keyed by index.
         """
         positions = {
             candidate: k
@@ -175,8 +175,8 @@ class MinimalSet(Value):
     def matrix(self) -> Array:
         """Matrix S of the minimal parameters on the barycentric parameters, (N, 10 n).
 
-        Columns body by body, mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz; columns of parameters known
-        to be zero are zero.
+        Columns are ordered body by body as mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz. Columns of
+        parameters known to be zero are zero.
         """
         rows = barycentric_rows(self._tree, self._bodies, self._entries)
         rows[:, self.known_zero.ravel()] = 0.0
@@ -186,16 +186,17 @@ class MinimalSet(Value):
     def lift(self) -> Array:
         """Right inverse of S, (10 n, N): sparse barycentric parameters for given delta.
 
-        S lift = 1, known zeros are zero, and theta -> lift S theta does not change the model.
+        S lift = 1, known zeros remain zero, and replacing theta by lift S theta does not change the
+        predictions of the model.
         """
         lift = self._elimination.right_inverse
         return readonly_array(self.with_carried_mass(lift), lift.shape, "lift")
 
     def with_carried_mass(self, theta: Array) -> Array:
-        """Copy of theta with the mass mbar that a free base's coordinate bodies carry.
+        """Copy of theta with consistent mbar for the coordinate bodies of a free base.
 
-        The bodies of the coordinates are massless, so their mbar is the base's. Without a free
-        base, or with a force sensor on it, the copy is unchanged.
+        These bodies are massless, so their mbar equals that of the base. Without a free base, or
+        with a force sensor on it, the copy is unchanged.
 
         Args:
             theta: Barycentric parameters, (10 n, ...), with any masses of the coordinate bodies.
@@ -211,19 +212,20 @@ class MinimalSet(Value):
     def standard_matrix(self) -> Array:
         """Matrix K of delta on the standard parameters in the order of `standard`, (N, 10 n).
 
-        m mx my mz Ixx Ixy Iyy Ixz Iyz Izz a body, about and along its frame.
+        The parameters of each body are m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the origin and
+        along the axes of its frame.
         """
         rows = forms_on_standard(self._tree, self.matrix)
         return readonly_array(rows, self.matrix.shape, "standard_matrix")
 
     @cached_property
     def formulas(self) -> tuple[Formula, ...]:
-        """Formulas of the parameters in terms of the body's own and its children's parameters."""
+        """Formulas of the parameters, in parameters of the body and of its children."""
         return self.formulas_with("symbols")
 
     @cached_property
     def auxiliary(self) -> tuple[Formula, ...]:
-        """Formulas of the starred parameters in `formulas`, tips first."""
+        """Formulas of the starred (redefined) parameters in `formulas`, end bodies first."""
         return self.auxiliary_with("symbols")
 
     def formulas_with(self, lengths: LengthNotation) -> tuple[Formula, ...]:
@@ -236,9 +238,10 @@ class MinimalSet(Value):
         return tuple(namer.formula(e.label, e.body, e.form) for e in self._entries)
 
     def auxiliary_with(self, lengths: LengthNotation) -> tuple[Formula, ...]:
-        """Formulas of the starred parameters, with lengths as symbols or as numbers.
+        """Formulas of the starred (redefined) parameters, with symbolic or numeric lengths.
 
-        Only parameters on the right of `formulas_with`, or of these formulas, tips first.
+        The formulas are limited to parameters on the right-hand sides of `formulas_with` or of
+        these formulas. End bodies come first.
 
         Args:
             lengths: "symbols" prints l12z, "numbers" its value.
@@ -262,8 +265,8 @@ class MinimalSet(Value):
     def triads(self) -> dict[int, Triad]:
         """Triads (u, v, w), in the body's frame, of bodies with parameters along inclined axes.
 
-        Inclined axes are not axes of the body. By body index, -1 for the bedplate; w is the joint
-        axis, the only axis of rotation, or the direction of gravity.
+        Inclined axes are not axes of the body frame. The triads are keyed by body index, -1 for the
+        bedplate; w is the joint axis, the only axis of rotation, or the direction of gravity.
         """
         triads = {
             b: self._bodies[b].row.triad for b in sorted(set(self.bodies)) if b >= 0
@@ -290,17 +293,17 @@ def minimal_set(
 ) -> MinimalSet:
     """Minimal set of a robot by the recursive rules, [FRS96] Tables 2-5.
 
-    Order: body by body from the tips to the base, as in the paper; a wrench set starts with the
-    parameters shared with the torque set.
+    Parameters are ordered body by body from the end bodies to the base, as in the paper. A wrench
+    set starts with the parameters shared with the torque set.
 
     Args:
         tree: The robot; its inertias matter only for `zeros`.
         model: "torque" for joint torques, "wrench" for the bedplate's wrench.
         gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame; default the model file's.
-        zeros: Barycentric parameters known to be zero: True for all that are zero in
+        zeros: Barycentric parameters known to be zero: True for all parameters that are zero in
             the model file, or a list of names such as "mb1x", "K2xy".
         tared: True if the bedplate's static wrench in one posture has been subtracted, so that
-            only changes of the static wrench count.
+            only changes of the static wrench are measured.
 
     Raises:
         UnknownName: The signal or a name in `zeros` does not exist.
@@ -325,15 +328,15 @@ def minimal_set(
 def selection(torque_set: MinimalSet, wrench_set: MinimalSet) -> Array:
     """Matrix S with delta_d = S delta_r, (N_d, N_r); [FRS96] eq. (11).
 
-    Every joint torque is a component of a wrench that is part of the bedplate's wrench, so S
-    exists for every tree; its rows need not be unit vectors.
+    Each joint torque is a component of a wrench that is part of the bedplate's wrench. Therefore S
+    exists for every tree. Its rows need not be unit vectors.
 
     Args:
         torque_set: Minimal set delta_d of the joint torques.
         wrench_set: Minimal set delta_r of the wrench, of the same robot, gravity and known zeros.
 
     Raises:
-        ValueError: delta_d is not in the span of delta_r: the sets do not belong together.
+        ValueError: The sets do not belong together: delta_d is not in the span of delta_r.
     """
     s = torque_set.matrix @ wrench_set.lift
     s[np.abs(s) < 1e-13] = 0.0
@@ -346,14 +349,14 @@ def selection(torque_set: MinimalSet, wrench_set: MinimalSet) -> Array:
 def known_zero_mask(tree: Tree, zeros: bool | Sequence[str]) -> NDArray[np.bool_]:
     """Mask of barycentric parameters known to be zero, (n, 10).
 
-    All parameters of bodies without mass of their own are known to be zero in any case.
+    Parameters of massless bodies are always known to be zero.
 
     Args:
         tree: The robot.
-        zeros: True for all that are zero in the model file, or a list of names.
+        zeros: True for all parameters that are zero in the model file, or a list of names.
 
     Raises:
-        UnknownName: A name is no barycentric parameter.
+        UnknownName: A name is not that of a barycentric parameter.
     """
     is_zero = np.zeros((tree.n, 10), dtype=bool)
     is_zero[list(tree.bare)] = True
@@ -371,8 +374,9 @@ def known_zero_mask(tree: Tree, zeros: bool | Sequence[str]) -> NDArray[np.bool_
 def _model_file_zeros(tree: Tree) -> NDArray[np.bool_]:
     """Mask of barycentric parameters that are zero in the model file, (n, 10).
 
-    Zero: at most 1e-12 of the body's largest parameter of the same unit; for first moments also of
-    sqrt(mass times largest component of the tensor), whichever is larger.
+    A parameter is treated as zero if its magnitude is at most 1e-12 times the body's largest
+    parameter of the same unit. For first moments, sqrt(mass * largest component of the tensor) is
+    used instead if it is larger.
     """
     theta = np.abs(barycentric(tree))
     mass, moments, tensors = theta[:, :1], theta[:, 1:4], theta[:, 4:]

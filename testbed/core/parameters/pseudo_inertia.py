@@ -11,7 +11,7 @@ from testbed.core.base.arrays import Array, skew
 from testbed.core.base.transform import Transform
 
 UPPER_ENTRIES = tuple((a, b) for b in range(4) for a in range(b + 1))
-"""Row and column of the upper triangle's entries, column by column: order of coordinates."""
+"""Row and column of each matrix entry of the upper triangle, in the order of the coordinates."""
 
 ROWS, COLUMNS = (list(each) for each in zip(*UPPER_ENTRIES[:6], strict=True))
 """Row and column indices of an inertia tensor's components, in the order xx xy yy xz yz zz."""
@@ -20,7 +20,8 @@ ROWS, COLUMNS = (list(each) for each in zip(*UPPER_ENTRIES[:6], strict=True))
 def _basis_matrices() -> Array:
     """Orthonormal basis of the symmetric (4, 4) matrices in the Frobenius product, (10, 4, 4).
 
-    A matrix for each of `UPPER_ENTRIES`: 1 on the diagonal, else sqrt(1/2) in both places.
+    There is one matrix for each of `UPPER_ENTRIES`. Its nonzero elements are 1 on the diagonal, or
+    sqrt(1/2) at two symmetric positions off the diagonal.
     """
     basis = np.zeros((10, 4, 4))
     for k, (a, b) in enumerate(UPPER_ENTRIES):
@@ -35,7 +36,7 @@ COORDINATE_BASIS = _basis_matrices()
 def pseudo_inertias(standard: Array) -> Array:
     """Pseudo-inertia matrices J = [[S, h], [h', m]] of bodies, (..., 4, 4).
 
-    m is the mass, h the first moment, S = tr(I)/2 1 - I the matrix of second moments.
+    m is the mass, h the first moment, and S = tr(I)/2 1 - I the matrix of second moments.
 
     Args:
         standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the frame's origin,
@@ -52,7 +53,7 @@ def pseudo_inertias(standard: Array) -> Array:
 def parameters(pseudo: Array) -> Array:
     """Standard parameters of bodies from pseudo-inertias, (..., 10) [kg, kg m, kg m^2].
 
-    Order: m mx my mz Ixx Ixy Iyy Ixz Iyz Izz; inverse of `pseudo_inertias`.
+    The order is m mx my mz Ixx Ixy Iyy Ixz Iyz Izz. This is the inverse of `pseudo_inertias`.
 
     Args:
         pseudo: Pseudo-inertia matrices J, (..., 4, 4), symmetric.
@@ -65,7 +66,8 @@ def parameters(pseudo: Array) -> Array:
 def standard_parameter_transform(X_AB: Transform) -> Array:
     """Matrix that transforms standard parameters from frame B to frame A, (..., 10, 10).
 
-    Parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the origin and along the axes of a frame.
+    The parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz are about the origin and along the axes of the
+    frame.
 
     Args:
         X_AB: Pose of frame B in A.
@@ -77,8 +79,8 @@ def standard_parameter_transform(X_AB: Transform) -> Array:
 def standard_parameter_rate(twist: Array) -> Array:
     """Matrix from a moving body's standard parameters to their time derivatives, (10, 10).
 
-    Parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the origin and along the axes of a fixed
-    frame.
+    The parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz are about the origin and along the axes of a
+    fixed frame.
 
     Args:
         twist: Twist of the body at the origin of the fixed frame, along its axes, linear part
@@ -90,22 +92,22 @@ def standard_parameter_rate(twist: Array) -> Array:
 
 
 def _trace_complement(tensors: Array, share: float) -> Array:
-    """Share of the trace times the identity, minus the tensors, (..., 3, 3).
+    """Tensors `share * trace(T) * 1 - T`, (..., 3, 3).
 
-    From inertia tensors to second moments with a share of 1/2, and back with 1.
+    A share of 1/2 converts inertia tensors T to second moments; a share of 1 converts them back.
     """
     trace = np.trace(tensors, axis1=-2, axis2=-1)
     return np.asarray(share * trace[..., None, None] * np.eye(3) - tensors)
 
 
 STANDARD_BASIS = pseudo_inertias(np.eye(10))
-"""Pseudo-inertia matrix of a unit of each standard parameter, (10, 4, 4)."""
+"""Pseudo-inertia matrix for a unit value of each standard parameter, (10, 4, 4)."""
 
 
 def pseudo_inertia_coordinates(matrices: Array) -> Array:
     """Coordinates of symmetric matrices in the orthonormal basis `COORDINATE_BASIS`, (..., 10).
 
-    The norm of the coordinates is the Frobenius norm of the matrix.
+    The Euclidean norm of the coordinates is the Frobenius norm of the matrix.
 
     Args:
         matrices: Symmetric matrices, (..., 4, 4).
@@ -125,8 +127,8 @@ def matrices_from_coordinates(coordinates: Array) -> Array:
 def standard_from_coordinates(roots: Array) -> Array:
     """Matrix from coordinates of Y to the standard parameters of a body, (..., 10, 10).
 
-    The pseudo-inertia matrix of a body is J = U Y U'. Columns as `COORDINATE_BASIS`; rows
-    m mx my mz Ixx Ixy Iyy Ixz Iyz Izz.
+    The pseudo-inertia matrix of a body is J = U Y U'. Columns are in the order of
+    `COORDINATE_BASIS`, rows in the order m mx my mz Ixx Ixy Iyy Ixz Iyz Izz.
 
     Args:
         roots: Factors U, (..., 4, 4), that scale Y to entries near 1.

@@ -1,7 +1,7 @@
-"""Regrouping from the tips to the base, and formulas of the redefined parameters.
+"""Regrouping of parameters from the end bodies to the base, and the resulting formulas.
 
-Parameters that a joint does not keep migrate: they are added to the parameters of the carrying
-body.
+Parameters that the rules do not keep for a body migrate: they are added to the parameters of the
+carrying body. The sums are called redefined parameters.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from testbed.core.robot.tree import Joint, Tree
 
 
 def orthogonal_part(vector: Array, basis: Array) -> Array:
-    """Part of a vector orthogonal to a subspace.
+    """Component of a vector orthogonal to a subspace.
 
     Args:
         vector: Vector, (N,).
@@ -54,21 +54,21 @@ def orthogonal_part(vector: Array, basis: Array) -> Array:
 
 
 INDEPENDENCE_TOLERANCE = 1e-8
-"""Smallest norm of a unit functional after projection that counts as independent."""
+"""Smallest norm, after projection, of a unit functional that is considered independent."""
 
 
 @dataclass(frozen=True, eq=False)
 class CompositeFunctionals:
-    """Identifiable functionals of a composite body j at q = 0, rows on (m, h, I).
+    """Identifiable functionals of a composite body j at q = 0, as rows on (m, h, I).
 
-    The composite body is body j with all bodies that it carries, m h I its mass, first moment and
-    inertia tensor (xx xy xz yy yz zz) in frame j, S_j the unit twist of joint j.
+    The composite body is body j with all bodies that it carries; m, h, I are its mass, first moment
+    and inertia tensor (xx xy xz yy yz zz) in frame j, and S_j is the unit twist of joint j.
 
     Attributes:
-        without_acceleration: Functionals identifiable without joint j's own acceleration, and
-            without its weight at q = 0, (k, 10).
+        without_acceleration: Functionals identifiable without the acceleration of joint j and
+            without the composite body's weight at q = 0, (k, 10).
         inertia: S_j . I_j S_j, the coefficient of qdd_j in the torque of joint j, (10,).
-        weight: -g . I_j S_j with gravity g at q = 0: the constant in that torque, (10,).
+        weight: -g . I_j S_j for gravity g at q = 0, the constant part of that torque, (10,).
     """
 
     without_acceleration: Array
@@ -88,7 +88,8 @@ def composite_functionals(
 ) -> Iterator[CompositeFunctionals]:
     """Yield the identifiable functionals of every composite body, from the bedplate outwards.
 
-    Without samples of the motion: closures of row spaces under the operators of the joints' twists.
+    The functionals are row spaces made invariant under the operators of the joint twists; no
+    samples of a motion are needed.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -127,12 +128,12 @@ def composite_functionals(
 
 
 def base_functionals(tree: Tree, gravity: Array, *, is_tared: bool) -> Array:
-    """Functionals of a base's ten parameters identified by the wrench, orthonormal, (k, 10).
+    """Orthonormal functionals of a base's ten parameters that the wrench identifies, (k, 10).
 
-    The wrench is I a + v x* I v, with the base's velocity v, and its acceleration a minus
-    gravity. Its second part is a combination of the six components of I v. So the functionals
-    follow from the directions in the base frame in which the joints before the base can move
-    the base, and in which gravity can point.
+    The wrench is I a + v x* I v, where v is the velocity of the base, and a its acceleration minus
+    gravity. The second term is a combination of the six components of I v. The functionals
+    therefore follow from the directions, in the base frame, in which the joints before the base can
+    move the base and in which gravity can point.
 
     Args:
         tree: The robot; its first joints lead to the base.
@@ -171,9 +172,9 @@ def _ad(screw: Array) -> Array:
 
 
 def _momentum_functionals(screw: Array) -> Array:
-    """Momentum of a composite body at a twist, as functionals of (m, h, I), (6, 10).
+    """Momentum of a composite body at a given twist, as functionals of (m, h, I), (6, 10).
 
-    Rows: linear momentum, then angular momentum about the frame's origin.
+    The rows are linear momentum, then angular momentum about the frame's origin.
 
     Args:
         screw: Twist, linear part first, (6,).
@@ -189,7 +190,8 @@ def _momentum_functionals(screw: Array) -> Array:
 def inertia_transform(X_AB: Transform) -> Array:
     """Matrix that transforms inertial parameters (m, h, I) from frame B to A, (..., 10, 10).
 
-    Tensor I about the frame's origin, in the order xx xy xz yy yz zz [kg, kg m, kg m^2].
+    The tensor I is about the frame's origin, in the order xx xy xz yy yz zz; units are kg, kg m,
+    kg m^2.
 
     Args:
         X_AB: Pose of frame B in A.
@@ -198,7 +200,7 @@ def inertia_transform(X_AB: Transform) -> Array:
 
 
 def _reordered_matrix(matrix: Array) -> Array:
-    """Matrix on (m, h, I) from a matrix on standard parameters, (..., 10, 10).
+    """Convert a matrix on standard parameters to a matrix on (m, h, I), (..., 10, 10).
 
     The tensor's components are reordered from xx xy yy xz yz zz to xx xy xz yy yz zz.
     """
@@ -216,10 +218,11 @@ def _invariant_closure(rows: Array, operator: Array) -> Array:
 
 
 def row_space_basis(rows: Array) -> Array:
-    """Orthonormal basis of the row space by singular values, (rank, columns).
+    """Orthonormal basis of the row space, by singular value decomposition, (rank, columns).
 
-    Rows are of order one, or rounding of zero, and are therefore not rescaled. Singular values up
-    to `INDEPENDENCE_TOLERANCE` of the largest, or of 1, count as zero.
+    The rows are not rescaled, because their norms are of order one or rounding errors of zero.
+    Singular values up to `INDEPENDENCE_TOLERANCE` times the largest one, or times 1 if that is
+    larger, are treated as zero.
     """
     if not rows.any():
         return rows[:0]
@@ -235,13 +238,13 @@ def row_space_basis(rows: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RegroupedBody:
-    """Regrouped body: parameters that it keeps, and gains of its carrier.
+    """Regrouped body: kept parameters, and contribution to the parameters of the carrier.
 
     Attributes:
         row: Row of the rules, with the kept parameters.
-        gain_by_offset: Gain matrices, (4, 10, 10), from the body's ten redefined parameters to the
-            carrier's: coefficients of (1, lx, ly, lz) with the offset l.
-        gain: Gain matrix for the model's offset, (10, 10).
+        gain_by_offset: Matrices, (4, 10, 10), from the body's ten redefined parameters to those of
+            its carrier: coefficients of (1, lx, ly, lz) for the offset l.
+        gain: Resulting matrix for the model's offset, (10, 10).
     """
 
     row: RuleRow
@@ -254,8 +257,8 @@ def regroup_bodies(
 ) -> tuple[RegroupedBody, ...]:
     """Apply the regrouping rules to every joint.
 
-    Massless bodies before a moving base keep no parameter; the base has the row of `base_rule`, all
-    other bodies that of `joint_rule`.
+    Massless bodies before a moving base keep no parameters. The base follows `base_rule`, all other
+    bodies follow `joint_rule`.
 
     Args:
         tree: The robot.
@@ -282,7 +285,8 @@ def regroup_bodies(
 def redefined_parameter_rows(tree: Tree, bodies: Sequence[RegroupedBody]) -> Array:
     """Coefficients of redefined parameters on the barycentric parameters, (n, 10, 10 n).
 
-    From the tips to the base; dense, so the size grows with the square of the number of bodies.
+    The recursion runs from the end bodies to the base. The array is dense; its size grows with the
+    square of the number of bodies.
     """
     redefined = np.zeros((tree.n, 10, 10 * tree.n))
     for j in reversed(range(tree.n)):
@@ -293,11 +297,11 @@ def redefined_parameter_rows(tree: Tree, bodies: Sequence[RegroupedBody]) -> Arr
 
 
 def migration_matrices(joint: Joint, row: RuleRow) -> Array:
-    """Gain matrices from body j's redefined parameters to its carrier i's, (4, 10, 10).
+    """Matrices from redefined parameters of body j to parameters of its carrier i, (4, 10, 10).
 
-    Coefficients of 1, lx, ly, lz for the offset l of joint j in frame i; x~ is the cross-product
-    matrix of x. With b the migrating part of mb^j in frame i: mb*^i = mb^i + b and
-    K*^i = K^i + (migrating part of K^j) - (l~ b~ + b~ l~), where
+    The four matrices are the coefficients of 1, lx, ly, lz for the offset l of joint j in frame i.
+    Let b be the migrating component of mb^j in frame i, and x~ the cross-product matrix of x. Then
+    mb*^i = mb^i + b and K*^i = K^i + (migrating components of K^j) - (l~ b~ + b~ l~), where
     l~ b~ + b~ l~ = b l' + l b' - 2 (l . b) 1.
     """
     # affine in the offset: zero offset, and unit offset along each axis
@@ -309,7 +313,7 @@ def migration_matrices(joint: Joint, row: RuleRow) -> Array:
 
 
 MIN_COEFFICIENT = 1e-12
-"""Smallest printed coefficient; smaller ones are rounding of zero, as of right angles."""
+"""Smallest printed coefficient; smaller values are rounding errors of zero."""
 
 LengthNotation = Literal["symbols", "numbers"]
 
@@ -341,7 +345,7 @@ class FormulaWriter:
         return nonzero
 
     def component(self, body: int, component: int) -> Symbol:
-        """Symbol of a body's redefined parameter, starred if the body carries others.
+        """Symbol of a body's redefined parameter, with a star if the body carries other bodies.
 
         Args:
             body: Index of the body.
@@ -350,16 +354,16 @@ class FormulaWriter:
         return component_symbol(body, component, star=bool(self.tree.children(body)))
 
     def redefinition(self, body: int, component: int) -> Formula:
-        """Formula of a body's redefined parameter; arguments as of `component`."""
+        """Formula of a body's redefined parameter; arguments as in `component`."""
         left = Label((Term(self.component(body, component)),))
         return self.formula(left, body, np.eye(10)[component])
 
     def formula(self, left: Label, body: int, form: Array) -> Formula:
         """Formula of a linear form on a body's redefined parameters.
 
-        The sum of the body's own parameters and of those that its children pass on. Body -1 is
-        the bedplate, whose own parameters do not count: it gets the sum of its children's masses,
-        and their first moment at the offsets.
+        The right-hand side contains the parameters of the body and the parameters that migrate from
+        its children. Body -1 is the bedplate, whose own parameters are left out; its masses and
+        first moments are sums over its children at their offsets.
 
         Args:
             left: Name of the form.
@@ -388,9 +392,9 @@ class FormulaWriter:
     def _factor(
         self, weights: Array, body: int, child: int
     ) -> tuple[tuple[float, Symbol | None], ...]:
-        """Factor of a child's parameter: weights of 1, lx, ly, lz with symbols of lengths.
+        """Factor of a child's parameter: coefficients of 1, lx, ly, lz with symbols of lengths.
 
-        Empty if the factor is zero for the model's lengths.
+        The factor is empty if it is zero for the model's lengths.
         """
         offset = self.tree.joints[child].offset
         if self.lengths == "numbers":

@@ -13,10 +13,10 @@ from testbed.core.parameters.symbols import BARYCENTRIC_COMPONENTS, UPPER_TRIANG
 from testbed.core.robot.tree import Joint, Tree
 
 PARALLEL_TOLERANCE = 1e-9
-"""Largest sine between parallel directions; also largest distance of a point on a line [m]."""
+"""Largest sine between parallel directions; largest distance from a point on a line [m]."""
 
 ZERO_TOLERANCE = 1e-9
-"""Largest coefficient of unit forms that counts as zero."""
+"""Largest coefficient of a unit form that is treated as zero."""
 
 Rotation = Literal["none", "along", "across", "free"]
 
@@ -25,11 +25,11 @@ Rotation = Literal["none", "along", "across", "free"]
 class Mobility:
     """Mobility of body i, which carries joint j, in frame j at q = 0.
 
-    Gravity is an acceleration of the bedplate: it counts as a prismatic joint before all joints.
+    Gravity is treated as an acceleration of the bedplate, like a prismatic joint before all joints.
 
     Attributes:
-        twists: Twists of frame j by a unit of gravity and of every joint before j, linear part
-            first, (k, 6).
+        twists: Twists of frame j caused by a unit of gravity and by unit velocity of each joint
+            before j, linear part first, (k, 6).
         axis: Axis of joint j, (3,).
     """
 
@@ -47,8 +47,8 @@ class Mobility:
     def rotation(self) -> Rotation:
         """Axes of rotation of body i relative to the joint axis.
 
-        "none"; "along": parallel to the joint axis; "across": one direction, not parallel to the
-        joint axis; "free": several directions.
+        The values are "none" (no rotation), "along" (parallel to the joint axis), "across" (one
+        direction that is not parallel to the joint axis) and "free" (several directions).
         """
         angular = self.twists[:, 3:]
         if not angular.any():
@@ -72,8 +72,8 @@ class Mobility:
     def pivot(self) -> float | None:
         """Position along the axis, from O^j, of a point that never accelerates [m].
 
-        None if gravity or a joint before joint j accelerates every point of the axis. Body i must
-        rotate about a direction not parallel to the axis.
+        The result is None if gravity or a joint before joint j accelerates every point of the axis.
+        Body i must rotate about a direction that is not parallel to the axis.
         """
         linear, lever = self.twists[:, :3], self.twists[:, 3:] @ skew(self.axis)
         s = -float(np.sum(lever * linear) / np.sum(lever * lever))
@@ -90,7 +90,7 @@ def _normal_component(vectors: Array, axis: Array) -> float:
 
 
 def mobilities(tree: Tree, gravity: Array) -> Iterator[Mobility]:
-    """Yield the mobility of the carrying body of every joint, in tree order.
+    """Yield the mobility of the body that carries each joint, in tree order.
 
     Args:
         tree: The robot.
@@ -115,7 +115,8 @@ def unit_twist(joint: Joint) -> Array:
 Signal = Literal["wrench", "torque"]
 """Measured signal: wrench of the force plate, or joint torques.
 
-The paper calls the methods external and internal, the parameter sets reaction and dynamic.
+The paper calls the corresponding methods external and internal, and the parameter sets reaction and
+dynamic.
 """
 
 SIGNALS: tuple[Signal, ...] = ("wrench", "torque")
@@ -139,7 +140,7 @@ RULE_REASONS = {
     "none": "a joint before the force sensor or a coordinate of a free base, without mass",
     "base": "the static wrench of all that stands on the bedplate",
 }
-"""Reason why a parameter is in the set: joint type and motion of the parent, by table and row."""
+"""Joint type and motion of the parent that put a parameter into the set, keyed by table and row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ class Triad:
 
     Attributes:
         axes: Directions as rows, (3, 3); the last is the main direction, such as the joint axis.
-        letters: x, y, z in some order if the directions are the body axes, else u, v, w.
+        letters: Letters x, y, z in some order if the directions are the body axes, else u, v, w.
     """
 
     axes: Array
@@ -171,11 +172,11 @@ class KeptParameter:
     """Kept parameter: a linear form on body j's ten redefined parameters.
 
     Attributes:
-        terms: Summands: factor, head ("mbar", "mb", "K") and component, such as "y" or "yz" in
-            the row's triad (u, v, w); "d" for half the difference of Kuu and Kvv.
+        terms: Summands, each a factor, a kind ("mbar", "mb", "K") and a component, such as "y" or
+            "yz" in the triad (u, v, w); "d" stands for (Kuu - Kvv) / 2.
         form: Coefficients on the ten parameters, (10,).
-        direction: Ten parameters for which this form is 1, every other kept form of the joint is
-            0, and nothing migrates, (10,).
+        direction: Ten parameters for which this form is 1, the other kept forms of the joint are
+            0, and no parameter migrates, (10,).
         axial: True for the inertia that the joint accelerates: K_ee about its axis e, or mbar.
     """
 
@@ -187,14 +188,14 @@ class KeptParameter:
 
 @dataclass(frozen=True, eq=False)
 class RuleRow:
-    """Row of the rules' tables: kept parameters, and projector onto migrating parameters.
+    """Row of a rule table: kept parameters, and projector onto migrating parameters.
 
     Attributes:
         number: Table and row, a key of RULE_REASONS.
         parameters: Kept parameters of the joint, in printing order.
-        migration_projector: Projector of body j's ten redefined parameters onto those that migrate,
-            (10, 10).
-        triad: Directions that components are named after, in frame j.
+        migration_projector: Projector from the ten redefined parameters of body j onto those that
+            migrate, (10, 10).
+        triad: Directions, in frame j, along which components are taken and named.
     """
 
     number: str
@@ -204,10 +205,10 @@ class RuleRow:
 
 
 def base_rule(functionals: Array) -> RuleRow:
-    """Row of a moving base whose wrench is measured.
+    """Rule for a moving base whose wrench is measured.
 
-    A base that moves freely keeps all ten parameters. Else the base keeps the combinations of a
-    reduced row echelon form, with leading parameters in the order K, mb, mbar. No parameter
+    A base that moves freely keeps all ten parameters. Otherwise, the base keeps the combinations of
+    a reduced row echelon form, with leading parameters in the order K, mb, mbar. No parameter
     migrates.
 
     Args:
@@ -241,10 +242,10 @@ def base_rule(functionals: Array) -> RuleRow:
 
 
 def joint_rule(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
-    """Row of the tables for a joint with the given mobility of its carrier.
+    """Rule for a joint with the given mobility of its carrier.
 
-    [FRS96] Tables 2 and 4 are for joint torques, 3 and 5 for the wrench; 2 and 3 for prismatic, 4
-    and 5 for revolute joints.
+    [FRS96] Tables 2 and 4 apply to joint torques, Tables 3 and 5 to the wrench. Tables 2 and 3
+    apply to prismatic joints, Tables 4 and 5 to revolute joints.
 
     Args:
         joint: Joint j.
@@ -258,10 +259,10 @@ def joint_rule(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
 def _prismatic_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
     """Row of [FRS96] Table 2 (torques) or 3 (wrench) for a prismatic joint.
 
-    Rows 1, 2, 3 for a carrier that rotates about several directions, about one direction across the
-    joint axis, or else. The mass mbar is kept with all first moments (rows 2.1, 3.1, 3.2), those
-    normal to the direction of rotation (2.2) or to the joint axis (3.3), or none (2.3); the tensor
-    migrates.
+    Row 1 applies to a carrier that rotates about several directions, row 2 to a carrier that
+    rotates about one direction not parallel to the joint axis, row 3 to other carriers. The mass
+    mbar is kept with all first moments (rows 2.1, 3.1, 3.2), with first moments normal to the
+    direction of rotation (2.2) or to the joint axis (3.3), or alone (2.3). The tensor migrates.
     """
     unit = np.eye(10)[0]
     mass = KeptParameter(((1.0, "mbar", ""),), unit, unit, axial=True)
@@ -287,11 +288,11 @@ def _prismatic_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
 def _revolute_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
     """Row of [FRS96] Table 4 (torques) or 5 (wrench) for a revolute joint.
 
-    With the joint axis e, rows 4.1 and 5.1 keep mb_u, mb_v, K_ee, K_uu - K_vv, K_ve, K_ue, K_uv. If
-    the carrier rotates about e only, or not at all: mb_u, mb_v, K_ee (row 4.2), with K_ve, K_ue
-    (5.2), or K_ee alone if gravity and the motion of the joint are along e (4.3). If a point of e
-    never accelerates, row 4.4, not in the paper, keeps those of 4.1 without mb_u, mb_v, and with
-    K_ve, K_ue about that point.
+    Let e be the joint axis. Rows 4.1 and 5.1 keep mb_u, mb_v, K_ee, K_uu - K_vv, K_ve, K_ue, K_uv.
+    If the carrier rotates about e only, or not at all, row 4.2 keeps mb_u, mb_v, K_ee, and row 5.2
+    in addition K_ve, K_ue; row 4.3 keeps K_ee alone if gravity and the motion of the joint are
+    along e. If a point of the axis never accelerates, row 4.4, which is not in the paper, keeps the
+    parameters of row 4.1 without mb_u, mb_v, and with K_ve, K_ue about that point.
     """
     triad = triad_about(joint.axis)
     moments, axial, difference, oblique, product = _axis_parameters(triad)
@@ -319,8 +320,8 @@ def _revolute_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
 def _mean_and_moment_projector(triad: Triad) -> Array:
     """Projector onto the parameters that migrate over a revolute joint with axis e, (10, 10).
 
-    In the triad (u, v, e): the mean K_s = (K_uu + K_vv)/2 of the inertias normal to the axis,
-    [FRS96] eq. (37), and the first moment mb_e along the axis.
+    In the triad (u, v, e), these are the mean K_s = (K_uu + K_vv)/2 of the inertias normal to the
+    axis, [FRS96] eq. (37), and the first moment mb_e along the axis.
     """
     u, v, e = triad.axes
     tensor_sum, moment = (
@@ -357,10 +358,10 @@ def _axis_parameters(
 ]:
     """Parameters that a revolute joint with axis e can keep, in the triad (u, v, e).
 
-    First moments mb, and components of the inertia tensor K.
+    These are first moments mb and components of the inertia tensor K.
 
     Returns:
-        (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
+        Kept parameters (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
     """
     (u, v, e), (p, q, r) = triad.axes, triad.letters
     difference_tensor, axial_tensor = (
@@ -384,7 +385,7 @@ def _axis_parameters(
 
 
 def _product_of_inertia(a: Array, b: Array, letters: str) -> KeptParameter:
-    """Product of inertia K_ab as a kept parameter, letters in alphabetical order."""
+    """Product of inertia K_ab as a kept parameter, named with letters in alphabetical order."""
     product = 2 * _symmetric_outer(a, b)
     return KeptParameter(
         ((1.0, "K", "".join(sorted(letters))),), _MULTIPLICITY * product / 2, product
@@ -410,9 +411,9 @@ def _product_about_pivot(
 def triad_about(axis: Array) -> Triad:
     """Triad whose last direction is the unit vector `axis`.
 
-    The body axes, where `axis` is along one of these, so that the parameters are plain components.
-    Else the first direction is normal to `axis` and to the body axis farthest from `axis`, and the
-    triad is right-handed.
+    If `axis` is along a body axis, the triad consists of the body axes, so that the parameters are
+    components in the body frame. Otherwise, the triad is right-handed, and its first direction is
+    normal to `axis` and to the body axis that makes the largest angle with `axis`.
     """
     strongest = int(np.argmax(np.abs(axis)))
     if np.linalg.norm(np.delete(axis, strongest)) <= PARALLEL_TOLERANCE:
@@ -430,7 +431,7 @@ _TENSOR_PROJECTOR = np.diag([0.0] * 4 + [1.0] * 6)
 """Projector onto the tensor K^j, (10, 10)."""
 
 MASSLESS_ROW = RuleRow("none", (), np.zeros((10, 10)), _BODY_TRIAD)
-"""Row of a massless body that leads to a base: no parameter is kept, none migrates."""
+"""Rule for a massless body between bedplate and base: no parameter is kept, none migrates."""
 
 
 def _symmetric_outer(a: Array, b: Array) -> Array:
@@ -440,7 +441,7 @@ def _symmetric_outer(a: Array, b: Array) -> Array:
 
 
 _MULTIPLICITY = np.array([0, 0, 0, 0, 1, 2, 2, 1, 2, 1])
-"""Multiplicity of each of the ten parameters in the tensor.
+"""Number of elements of the tensor K that equal each of the ten parameters.
 
-_MULTIPLICITY * _symmetric_outer(a, b) is the form a . K b.
+`_MULTIPLICITY * _symmetric_outer(a, b)` is the linear form a . K b.
 """

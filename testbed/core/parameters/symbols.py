@@ -1,4 +1,4 @@
-r"""Symbolic names of parameters: symbols, sums and formulas, written as text or LaTeX.
+r"""Symbolic names of parameters: symbols, sums and formulas, as text or LaTeX.
 
 Text      K*1yz = K1yz - l12z*mb*2y; stars mark redefined parameters
 LaTeX     K^{*1}_{yz} = K^{1}_{yz} - l^{12}_{z}\,m\!b^{*2}_{y}
@@ -48,7 +48,8 @@ BARYCENTRIC_COMPONENTS, and back."""
 def standard(tree: Tree) -> Array:
     """Standard parameters of every body, (n, 10) [kg, kg m, kg m^2].
 
-    Row j is about and along body j's frame, in the order m mx my mz Ixx Ixy Iyy Ixz Iyz Izz.
+    Row j is about the origin and along the axes of the frame of body j, in the order m mx my mz Ixx
+    Ixy Iyy Ixz Iyz Izz.
     """
     rows = [
         (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER_TRIANGLE])
@@ -64,8 +65,8 @@ def with_standard_parameters(tree: Tree, standard: Array) -> Tree:
 
     Args:
         tree: The robot.
-        standard: Standard parameters, (n, 10), m mx my mz Ixx Ixy Iyy Ixz Iyz Izz about and along
-            each body's frame [kg, kg m, kg m^2].
+        standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the origin and along
+            the axes of each body frame, (n, 10) [kg, kg m, kg m^2].
     """
     tensors = standard[:, STANDARD_PERMUTATION][:, 4:] @ np.moveaxis(
         TENSOR_FROM_SIX, 2, 0
@@ -80,7 +81,7 @@ def with_standard_parameters(tree: Tree, standard: Array) -> Tree:
 def barycentric(tree: Tree) -> Array:
     """Barycentric parameters theta of every body, (n, 10) [kg, kg m, kg m^2].
 
-    [FRS96] eqs. (3)-(5). Row j is in body j's frame: mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz.
+    [FRS96] eqs. (3)-(5). Row j is mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz in the frame of body j.
     """
     return readonly_array(
         barycentric_from_standard(tree, standard(tree)), (tree.n, 10), "theta"
@@ -90,8 +91,8 @@ def barycentric(tree: Tree) -> Array:
 def barycentric_from_standard(tree: Tree, standard: AnyArray) -> AnyArray:
     """Convert standard to barycentric parameters, (n, 10, ...).
 
-    Each body is augmented by the masses that it carries, as point masses at its joints:
-    [FRS96] eqs. (3)-(5), as a recursion over children; linear in the argument.
+    Each body is augmented by the masses that it carries, as point masses at its joints, [FRS96]
+    eqs. (3)-(5). The recursion over children is linear in the parameters.
 
     Args:
         tree: Robot with parents and offsets.
@@ -111,7 +112,8 @@ def barycentric_from_standard(tree: Tree, standard: AnyArray) -> AnyArray:
 def forms_on_standard(tree: Tree, rows: Array) -> Array:
     """Convert linear forms on barycentric parameters to forms on standard parameters.
 
-    The transpose of `barycentric_from_standard`: rows theta = forms_on_standard(rows) standard.
+    This is the transpose of `barycentric_from_standard`: rows @ theta equals
+    forms_on_standard(rows) @ standard.
 
     Args:
         tree: Robot with parents and offsets.
@@ -145,7 +147,7 @@ def standard_from_barycentric(tree: Tree, theta: AnyArray) -> AnyArray:
 
 
 def parameter_scale(values: Array, units: Sequence[str], share: float) -> Array:
-    """Scale of each parameter: magnitude, at least a share of the unit's largest, (p,).
+    """Scale of each parameter: its magnitude, with a lower bound for each unit, (p,).
 
     Args:
         values: Parameters, (p,).
@@ -173,9 +175,9 @@ def component_symbol(body: int, component: int, star: bool = False) -> Symbol:
     """Symbol of a body's barycentric parameter.
 
     Args:
-        body: Index of the body, from 0; its number is one more.
-        component: Index of BARYCENTRIC_COMPONENTS.
-        star: True for the redefined parameter; without effect on a mass.
+        body: Index of the body, from 0; its number is `body + 1`.
+        component: Index into BARYCENTRIC_COMPONENTS.
+        star: True for the redefined parameter; has no effect on a mass.
     """
     head, tail = BARYCENTRIC_COMPONENTS[component]
     return Symbol(head, (body + 1,), tail, star and head != "mbar")
@@ -256,18 +258,18 @@ class DriveSymbol:
 
 @dataclass(frozen=True)
 class Term:
-    """Product of a symbol and a factor: number, or sum of numbers times lengths.
+    """Product of a symbol and a factor (a number, or a sum of numbers times lengths).
 
     Attributes:
-        symbol: Symbol of the product; None for a number alone.
-        weight: Summands of the factor, each a number and a length; a length of None is 1.
+        symbol: Symbol in the product; None for a number alone.
+        weight: Summands of the factor, each a number and a length; a length of None means 1.
     """
 
     symbol: Symbol | DriveSymbol | None
     weight: tuple[tuple[float, Symbol | None], ...] = ((1.0, None),)
 
     def write(self, notation: Notation) -> str:
-        """Write the product as text or in LaTeX, without a blank after a leading minus."""
+        """Write the product as text or LaTeX, without space after a leading minus sign."""
         name = [getattr(self.symbol, notation)] if self.symbol else []
         if len(self.weight) == 1:
             ((value, length),) = self.weight
@@ -299,17 +301,17 @@ class Label:
 
     @property
     def text(self) -> str:
-        """Name as text without blanks: mb*2z, 2*K3d, K*1zz+rotor/waist."""
+        """Name as text without spaces: mb*2z, 2*K3d, K*1zz+rotor/waist."""
         return "".join(self.pieces)
 
     @property
     def pieces(self) -> list[str]:
-        """Signed summands as text without blanks: K*1zz, +rotor/waist."""
+        """Signed summands as text without spaces: K*1zz, +rotor/waist."""
         return [piece.replace(" ", "", 1) for piece in summands(self.terms, "text")]
 
     @property
     def without_multiple(self) -> Label:
-        """Name without the multiple: K3d for 2*K3d; a sum unchanged."""
+        """Name without the integer multiple: K3d for 2*K3d; sums are unchanged."""
         return Label((Term(self.terms[0].symbol),)) if len(self.terms) == 1 else self
 
     @property
@@ -348,18 +350,18 @@ class Formula:
         """Formula in LaTeX.
 
         Args:
-            relation: Sign between the sides; "&=" in an aligned display.
+            relation: Relation sign between the sides; "&=" for aligned equations.
         """
         return f"{self.left.latex} {relation} {write_sum(self.right, 'latex')}"
 
 
 def write_sum(terms: Sequence[Term], notation: Notation) -> str:
-    """Write a sum of terms: a - l*b; "0" without terms."""
+    """Write a sum of terms, such as "a - l*b"; an empty sum is "0"."""
     return " ".join(summands(terms, notation)) or "0"
 
 
 def summands(terms: Sequence[Term], notation: Notation) -> list[str]:
-    """Terms of a sum as text, each with its sign: a, - l*b."""
+    """Terms of a sum as text, each with its sign, such as "a", "- l*b"."""
     summands_text: list[str] = []
     for term in terms:
         product = term.write(notation)
@@ -376,7 +378,7 @@ _PRODUCT_SIGNS = {"text": "*", "latex": r"\,"}
 
 
 def _product(value: float, names: list[str], notation: Notation) -> str:
-    """Write a number times names: a, -a*b, a/2, 3/2*a."""
+    """Write a product of a number and names, such as "a", "-a*b", "a/2", "3/2*a"."""
     numerator, bar, denominator = number_text(abs(value)).partition("/")
     sign = "-" if value < 0 else ""
     if notation == "text" and numerator == "1" and bar and names:
@@ -400,6 +402,6 @@ def latex_number(numerator: str, denominator: str = "") -> str:
 
 @lru_cache(maxsize=4096)
 def number_text(value: float) -> str:
-    """Write a coefficient as a fraction with denominator up to 4, else with six digits."""
+    """Write a coefficient as a fraction (denominator up to 4), otherwise with six digits."""
     fraction = Fraction(float(value)).limit_denominator(4)
     return str(fraction) if abs(float(fraction) - value) < 1e-12 else f"{value:.6g}"

@@ -1,6 +1,6 @@
 """Tests of single torque channels: clipped, dead, stuck, coarse, with outliers or steps.
 
-Torques are tested while their joint moves: at rest a torque may be constant.
+Torques are tested only while their joint moves, because a torque may be constant at rest.
 """
 
 from __future__ import annotations
@@ -17,48 +17,52 @@ from testbed.core.recordings.columns import MIN_MOTION_RANGE
 from testbed.core.recordings.repeats import runs_of_equal_rows
 
 EQUALITY_TOLERANCE, LIMIT_MARGIN, CONSTANT_TOLERANCE = 1e-6, 0.05, 1e-9
-"""Largest difference of equal values after interpolation, and of values at a limit from the limit,
-as shares of the channel's range; largest relative change of a constant channel."""
+"""Largest difference of values that are considered equal after interpolation, and largest distance
+of values at a limit from the limit, both as shares of the channel's range; largest relative change
+of a constant channel."""
 
 SPEED_HALF_WINDOW, REST_SPEED, MIN_MOVING_SHARE = 0.025, 0.1, 0.2
 """Half-width of the window for speeds [s]; largest speed of a joint at rest, as a share of its rms
 speed; smallest share of moving samples for tests of a joint's channels."""
 
 STUCK_FACTOR, JUMP_FACTOR, MIN_REGULAR_SHARE = 20, 5.0, 0.9
-"""Smallest length of a stuck run, in usual lengths of runs of equal values; smallest jump, in usual
-changes; smallest share of runs that are multiples of a slow device's period."""
+"""Smallest length of a stuck run, as a multiple of the usual length of runs of equal values;
+smallest jump, as a multiple of the usual change; smallest share of runs whose length is a multiple
+of the period of a slow device."""
 
 EXACT_STOP, NOISY_STOP = (0.01, 6.0), (0.06, 4.0)
-"""Smallest share of samples at a stop, and smallest ratio of samples at the stop to samples just
-below, which is 2.4 at a crest; of values, and of means of noisy values."""
+"""Smallest share of samples at a stop (level of clipping), and smallest ratio of samples at the
+stop to samples just below, which is 2.4 at a smooth crest; for values, and for means of noisy
+values."""
 
 PLATEAU_SIGMAS, KINK_FACTOR = 3.0, 12.5
-"""Half-width of a noisy plateau, in standard deviations of means; smallest drop of the torque a
-quarter of the plateau's length outside, in half-widths: larger than beside a flat crest."""
+"""Half-width of a noisy plateau, in standard deviations of means; smallest drop of the torque
+outside the plateau, at a distance of a quarter of its length, in half-widths: larger than beside a
+flat crest."""
 
 MIN_ROUNDING_NOISE, MAX_LEVELS = 0.05, 120
-"""Smallest standard deviation of rounding, over the channel's, of coarse steps; largest number of
-their values."""
+"""Smallest standard deviation of the rounding errors of coarse steps, relative to that of the
+channel; largest number of distinct values."""
 
 REVERSAL_MARGIN = 0.15
-"""Smallest time between a reversal and a jump that is not friction, also of delayed torques [s]."""
+"""Smallest time from a reversal of motion to a jump that (delayed) friction cannot cause [s]."""
 
 OUTLIER_FACTOR, MIN_OUTLIER_SIZE, MAX_OUTLIER_SHARE = 10.0, 0.02, 0.01
-"""Smallest outlier, as a multiple of the 95th percentile of deviations from the neighbours' mean,
-and as a share of the range; largest share of outliers among the samples."""
+"""Smallest outlier, as a multiple of the 95th percentile of deviations from the mean of the two
+neighbours, and as a share of the range; largest share of outliers among the samples."""
 
 MIN_TOUCHES, MAX_RISE_RATIO = 3, 3.0
-"""Smallest number of zeros of a magnitude; largest ratio of its rise over two windows to its rise
-over one window, which is 4 at a smooth minimum."""
+"""Smallest number of zeros of a channel of magnitudes; largest ratio of its rise over two windows
+to its rise over one window, which is 4 at a smooth minimum."""
 
 Spans = NDArray[np.int64]
-"""Ranges of samples: index of the first sample, and index after the last, (k, 2)."""
+"""Ranges of samples: index of the first sample, and index after the last one, (k, 2)."""
 
 Flags = NDArray[np.bool_]
 
 
 Finding = tuple[str, Flags | bool, Mapping[str, Any]]
-"""Kind of a fault, flags of its samples, and facts by field of its message."""
+"""Kind of a fault, flags of its samples, and values for its message, keyed by field."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +83,10 @@ class JointMotion:
     def from_position(position: Array, rate: float) -> JointMotion:
         """Estimate the motion of a joint from encoder positions, (M,), by differences.
 
-        The speed is the mean over `SPEED_HALF_WINDOW` before and after a sample. The joint moves
-        where the speed exceeds `REST_SPEED` of its rms; at no sample, if the range of positions is
-        at most `MIN_MOTION_RANGE` or `STUCK_FACTOR` standard deviations of the noise.
+        The speed is averaged over `SPEED_HALF_WINDOW` before and after each sample. The joint moves
+        at samples where the speed exceeds `REST_SPEED` times its rms value. It does not move at all
+        if the range of positions is at most `MIN_MOTION_RANGE`, or at most `STUCK_FACTOR` standard
+        deviations of the noise.
 
         Args:
             position: Encoder positions, (M,) [rad or m].
@@ -108,7 +113,8 @@ class JointMotion:
     def explains_plateau(self, values: Array, plateau: Flags, tolerance: float) -> bool:
         """Test whether inertia and friction of the joint explain a plateau of torque.
 
-        A least-squares fit of friction and inertia predicts a nearly constant torque there.
+        They do if a least-squares fit of friction and inertia predicts a nearly constant torque on
+        the plateau.
 
         Args:
             values: Torque, (M,).
@@ -127,7 +133,8 @@ class JointMotion:
 def white_noise_sigma(values: Array) -> float:
     """Standard deviation of white noise in a signal, from the median of fourth differences.
 
-    Median of the magnitudes over 0.6745, the ratio of a normal distribution.
+    The median of the magnitudes is divided by 0.6745, the ratio of median to standard deviation for
+    a normal distribution.
     """
     return float(np.median(np.abs(np.diff(values, 4))) / (0.6745 * np.sqrt(70)))
 
@@ -135,7 +142,8 @@ def white_noise_sigma(values: Array) -> float:
 def equal_runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Indices of the first samples of runs of equal values, and lengths of the runs.
 
-    Equal: after rounding to `EQUALITY_TOLERANCE` of the range of the values, (M,).
+    The values, (M,), are equal if they agree after rounding to `EQUALITY_TOLERANCE` times their
+    range.
     """
     return runs_of_equal_rows(
         np.round(values[:, None] / (EQUALITY_TOLERANCE * np.ptp(values) or 1.0))
@@ -143,16 +151,16 @@ def equal_runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _find_constant(values: Array, joint: JointMotion) -> Finding | None:
-    """Find a constant channel: range at most `CONSTANT_TOLERANCE` of its first value."""
+    """Find a constant channel: range at most `CONSTANT_TOLERANCE` times its first value."""
     constant = np.ptp(values) <= CONSTANT_TOLERANCE * np.abs(values[0])
     return ("dead", True, {"size": values[0]}) if constant else None
 
 
 def find_slow_updates(values: Array, joint: JointMotion) -> Finding | None:
-    """Find a channel with a new value only at every k-th sample, k > 1.
+    """Find a channel that is updated only at every k-th sample, k > 1.
 
-    k is the median length of runs of equal values in motion: more than 60 % have this length, more
-    than `MIN_REGULAR_SHARE` a multiple of k or one sample more.
+    k is the median length of runs of equal values in motion. More than 60 % of the runs have length
+    k, and more than `MIN_REGULAR_SHARE` a multiple of k, or a multiple plus one sample.
     """
     starts, lengths = equal_runs(values)
     moving_lengths = lengths[joint.moving[starts]]
@@ -170,10 +178,10 @@ def find_slow_updates(values: Array, joint: JointMotion) -> Finding | None:
 def _find_stuck_runs(values: Array, joint: JointMotion) -> Finding | None:
     """Find constant runs during motion: longer than usual, or zero between jumps.
 
-    Longer than usual: beyond `STUCK_FACTOR` times the 95th percentile of the runs' lengths, not at
-    the largest or smallest values, unless a single such run begins and ends with jumps. A jump
-    exceeds `JUMP_FACTOR` times the 90th percentile of changes. The finding is "stuck", "dead" at
-    zero.
+    A run is longer than usual if it exceeds `STUCK_FACTOR` times the 95th percentile of run
+    lengths. Runs at the largest or smallest value are excluded, unless it is a single run that
+    begins and ends with jumps. A jump exceeds `JUMP_FACTOR` times the 90th percentile of changes.
+    The kind of fault is "stuck", or "dead" for runs at zero.
     """
     starts, lengths = equal_runs(values)
     level, change = values[starts], np.abs(np.diff(values))
@@ -200,7 +208,7 @@ def _find_stuck_runs(values: Array, joint: JointMotion) -> Finding | None:
 def _find_clipping(values: Array, joint: JointMotion) -> Finding | None:
     """Find plateaus at extreme values that the joint's motion does not explain.
 
-    Plateaus are sought in the values, else in moving means over 0.05 s, at either extreme.
+    Plateaus are sought at both extremes, first in the values, then in moving means over 0.05 s.
     """
     samples, levels = np.zeros(len(values), bool), []
     window = max(3, round(0.05 * joint.rate))
@@ -220,15 +228,17 @@ def _find_clipping(values: Array, joint: JointMotion) -> Finding | None:
 def _plateau(
     values: Array, joint: JointMotion, count: int
 ) -> tuple[Flags, float, float] | None:
-    """Plateau at the largest values: samples, level and resolution; None without a plateau.
+    """Plateau at the largest values: samples, level and resolution; None if there is no plateau.
 
-    A moving mean over `count` samples reduces noise that was added after a saturation. Splines
-    overshoot a saturation slightly. The flat crest of a smooth signal is no plateau (`_is_steep`).
+    A moving mean over `count` samples reduces noise that was added after a saturation. The test
+    allows for splines, which overshoot a saturation slightly. The flat crest of a smooth signal is
+    not a plateau (`_is_steep`).
 
     Args:
-        values: Torque, (M,), negative to find the smallest values.
+        values: Torque, (M,), with reversed sign to find the smallest values.
         joint: Motion of the joint.
-        count: Number of samples in a mean; limits `EXACT_STOP` for 1, else `NOISY_STOP`.
+        count: Number of samples in a mean; the limits are `EXACT_STOP` if it is 1, otherwise
+            `NOISY_STOP`.
     """
     means = np.convolve(values, np.ones(count) / count, "same")
     sorted_means, (share, ratio) = np.sort(means[joint.moving]), EXACT_STOP
@@ -254,13 +264,13 @@ def _plateau(
 def _stop_value(
     values: Array, resolution: float, share: float, ratio: float
 ) -> float | None:
-    """Level in the upper fifth of the range with most values; None without a stop.
+    """Level of a stop (clipping) in the upper fifth of the range, or None.
 
     Args:
         values: Sorted values, (M,).
         resolution: Half-width of the stop.
-        share: Smallest share of the values at the stop.
-        ratio: Smallest ratio of values at the stop to values just below, and above.
+        share: Smallest share of values at the stop.
+        ratio: Smallest ratio of the number of values at the stop to that just below, and above.
     """
     levels = values[values >= values[-1] - 0.2 * (values[-1] - values[0])]
     counts = [np.searchsorted(values, levels + k * resolution) for k in (-3, -1, 1)]
@@ -276,7 +286,8 @@ def _is_steep(
 ) -> bool:
     """Test whether values drop abruptly beside a plateau, unlike at a flat crest.
 
-    The mean drop, a quarter of the plateau's length outside, exceeds `KINK_FACTOR` half-widths.
+    The drop is abrupt if its mean, at a distance of a quarter of the plateau's length outside the
+    plateau, exceeds `KINK_FACTOR` half-widths.
 
     Args:
         values: Moving means, (M,).
@@ -298,8 +309,9 @@ def _is_steep(
 def _find_coarse_steps(values: Array, joint: JointMotion) -> Finding | None:
     """Find quantisation steps that are large relative to the channel's variation.
 
-    The values are fewer than about `MAX_LEVELS` multiples of a step whose rounding noise, step /
-    sqrt(12), exceeds `MIN_ROUNDING_NOISE` of the channel's standard deviation.
+    The values are multiples of a step, with fewer than about `MAX_LEVELS` different multiples. The
+    rounding noise, step / sqrt(12), exceeds `MIN_ROUNDING_NOISE` times the standard deviation of
+    the channel.
     """
     gaps = np.diff(np.unique(values))
     step = float(gaps.min())
@@ -314,10 +326,10 @@ def _find_coarse_steps(values: Array, joint: JointMotion) -> Finding | None:
 
 
 def _find_magnitude(values: Array, joint: JointMotion) -> Finding | None:
-    """Find a channel of magnitudes: values of one sign with sharp minima at zero.
+    """Find a channel that contains magnitudes: values of one sign with sharp minima at zero.
 
-    At least `MIN_TOUCHES` minima at zero in motion, beside which the magnitude rises in proportion
-    to time, not to its square (`MAX_RISE_RATIO`).
+    During motion there are at least `MIN_TOUCHES` minima at zero, on both sides of which the
+    magnitude rises linearly, not quadratically, with time (`MAX_RISE_RATIO`).
     """
     from scipy.ndimage import minimum_filter1d  # scipy.signal takes half a second
 
@@ -351,9 +363,10 @@ def _find_magnitude(values: Array, joint: JointMotion) -> Finding | None:
 def _find_outliers(values: Array, joint: JointMotion) -> Finding | None:
     """Find single samples that deviate from both neighbouring samples.
 
-    The deviation from the neighbours' mean exceeds 8 standard deviations of the noise,
-    `OUTLIER_FACTOR` times its 95th percentile, `MIN_OUTLIER_SIZE` of the range, and twice the
-    neighbours' difference. More than `MAX_OUTLIER_SHARE` of such samples are no outliers.
+    The deviation from the mean of both neighbours exceeds 8 standard deviations of the noise,
+    `OUTLIER_FACTOR` times the 95th percentile of deviations, `MIN_OUTLIER_SIZE` times the range,
+    and twice the difference of the neighbours. If more than `MAX_OUTLIER_SHARE` of the samples
+    deviate in this way, they are not considered outliers.
     """
     deviation = np.abs(values[1:-1] - (values[2:] + values[:-2]) / 2)
     threshold = OUTLIER_FACTOR * np.quantile(deviation, 0.95)
@@ -371,16 +384,16 @@ def _find_outliers(values: Array, joint: JointMotion) -> Finding | None:
 def signal_steps(
     time: Array, values: Array, factor: float = OUTLIER_FACTOR
 ) -> Iterator[tuple[int, float]]:
-    """Yield steps of a signal across which its rate of change is continuous.
+    """Yield isolated steps of a signal whose rate of change is otherwise nearly continuous.
 
-    The rate across a step differs from the mean of the rates before and after, which differ by less
-    than a quarter of that. Yields the index of the sample before each step, and the size of the
-    step.
+    The rates before and after a step differ by less than a quarter of the amount by which the rate
+    across the step deviates from their mean. Each item is the index of the sample before the step,
+    and the size of the step.
 
     Args:
-        time: Times, increasing, (M,) [s].
+        time: Increasing times, (M,) [s].
         values: Values of the signal, (M,).
-        factor: Smallest change of rate, as a multiple of the 99th percentile.
+        factor: Smallest deviation of the rate, as a multiple of its 99th percentile.
     """
     speed = np.diff(values) / np.diff(time)
     if len(speed) < 5:
@@ -394,9 +407,10 @@ def signal_steps(
 
 
 def _find_offset_steps(values: Array, joint: JointMotion) -> Finding | None:
-    """Find one to three jumps of a torque away from reversals of the motion.
+    """Find one to three jumps of a torque that are far from motion reversals.
 
-    Jumps are those of `signal_steps` with `JUMP_FACTOR`, `REVERSAL_MARGIN` from the next reversal.
+    Jumps are found by `signal_steps` with `JUMP_FACTOR`; they are at least `REVERSAL_MARGIN` away
+    from the nearest reversal.
     """
     reach, indices = round(REVERSAL_MARGIN * joint.rate), np.arange(len(values))
     reversals = np.diff(np.sign(joint.speed)) != 0
@@ -419,10 +433,10 @@ TORQUE_TESTS = (
     _find_outliers,
     _find_offset_steps,
 )
-"""Tests of a torque channel, in order; the first finding is reported."""
+"""Tests of a torque channel, in order; the first fault found is reported."""
 
 
 def sample_ranges(flags: Flags) -> Spans:
-    """Ranges of consecutive true flags, (k, 2)."""
+    """Index ranges of consecutive flags that are True, (k, 2)."""
     edges = np.diff(np.pad(flags, 1).astype(np.int64))
     return np.flatnonzero(edges).reshape(-1, 2)

@@ -1,7 +1,7 @@
 """Faults of single channels of a recording: clipped, dead, stuck, copied and others.
 
-Single torque channels are tested by `channel_tests`; channels are compared here. No model of the
-robot's dynamics is needed.
+Single torque channels are tested by `channel_tests`; this module compares channels with each other.
+No model of the robot's dynamics is needed.
 """
 
 from __future__ import annotations
@@ -36,19 +36,20 @@ MAX_BLOCK_SAMPLES, MIN_SAMPLES = 200_000, 100
 """Largest and smallest number of samples that are tested together."""
 
 MIN_COPIED_SHARE = 0.98
-"""Smallest share of samples at which a copied channel equals the other channel."""
+"""Smallest share of samples at which a copied channel equals the original channel."""
 
 THINNING, MAX_SMOOTHED_RATIO, MIN_WHITE_RATIO = 4, 0.25, 0.6
-"""Step of thinned samples; ratio of the noise in consecutive samples to the noise in thinned
-samples: largest behind a low-pass filter, smallest for the median of the other channels."""
+"""Step between thinned samples; and bounds on the ratio of noise in consecutive samples to noise in
+thinned samples: upper bound for a low-pass filtered channel, lower bound for the median of the
+other channels."""
 
 MIN_SMOOTHED_RATE = 80.0
-"""Smallest sampling rate for the ratio: at lower rates, motion appears as noise of thinned samples
-[Hz]."""
+"""Smallest sampling rate at which this noise ratio is used [Hz]; at lower rates, motion appears as
+noise of thinned samples."""
 
 NOISE_FACTOR, MIN_RELATIVE_NOISE = 6.0, 0.1
-"""Smallest noise of a noisy channel: as a multiple of the other channels' noise, absolute and
-relative to their size; relative to its own size."""
+"""Smallest noise of a noisy channel: as a multiple of the other channels' noise (both absolute and
+relative to channel size), and relative to the size of the channel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +63,9 @@ class ChannelFault:
         share: Share of faulty samples.
         first: Time of the first faulty sample [s].
         last: Time of the last faulty sample [s].
-        facts: Numbers and names by field of the message.
-        left_out: Ranges of samples that estimates must not use, first and end index, (k, 2).
+        facts: Numbers and names for the message, keyed by field.
+        left_out: Ranges of samples that estimates must not use, (k, 2): index of the first sample,
+            and index after the last one.
     """
 
     kind: str
@@ -91,10 +93,10 @@ class ChannelFault:
 def _find_copies(
     names: Sequence[str], values: Array, moving: Sequence[int]
 ) -> Iterator[tuple[int, Finding]]:
-    """Yield channels that copy another channel or its negative, by index, both of a pair.
+    """Yield channels that copy another channel or its negative, with their indices.
 
-    Magnitudes are equal, within `EQUALITY_TOLERANCE` of the range, at more than `MIN_COPIED_SHARE`
-    of the samples.
+    Both channels of a pair are yielded. Their magnitudes are equal, within `EQUALITY_TOLERANCE`
+    times the range, at more than `MIN_COPIED_SHARE` of the samples.
 
     Args:
         names: Joint names.
@@ -114,10 +116,10 @@ def _find_copies(
 def _torque_findings(
     names: Sequence[str], torque: Array, joints: Sequence[JointMotion]
 ) -> Iterator[tuple[int, Finding]]:
-    """Yield findings of the torques of moving joints, by joint index.
+    """Yield faults found in the torques of moving joints, with joint indices.
 
-    A copied channel is not tested further; else the first finding of `TORQUE_TESTS` counts.
-    Channels without a finding are compared by `_find_unusual_noise`.
+    A copied channel is not tested further. For other channels, the first fault found by
+    `TORQUE_TESTS` is reported. Channels without a fault are compared by `_find_unusual_noise`.
 
     Args:
         names: Joint names.
@@ -140,17 +142,18 @@ def _torque_findings(
 def _find_unusual_noise(
     torque: Array, faultless: Sequence[int], rate: float
 ) -> Iterator[tuple[int, Finding]]:
-    """Yield torque channels that are smoother or noisier than all others, by index.
+    """Yield torque channels that are smoother or noisier than all others, with indices.
 
-    Smoothed: noise of consecutive samples below `MAX_SMOOTHED_RATIO` of that of thinned samples,
-    and the others' median ratio above `MIN_WHITE_RATIO`. Noisy: noise above `NOISE_FACTOR` times
-    the others', absolute and relative to size, and above `MIN_RELATIVE_NOISE` of the own size. At
-    least three channels are needed.
+    A channel is smoothed if the noise of consecutive samples is below `MAX_SMOOTHED_RATIO` times
+    the noise of thinned samples, while the median ratio of the other channels is above
+    `MIN_WHITE_RATIO`. A channel is noisy if its noise is above `NOISE_FACTOR` times that of the
+    others (both absolute and relative to size) and above `MIN_RELATIVE_NOISE` times its own size.
+    At least three channels are needed.
 
     Args:
         torque: Torques, (M, n).
-        faultless: Indices of the channels without other findings.
-        rate: Sampling rate [Hz]; above `MIN_SMOOTHED_RATE`, smoothed channels are found.
+        faultless: Indices of the channels without other faults.
+        rate: Sampling rate [Hz]; smoothed channels are sought only above `MIN_SMOOTHED_RATE`.
     """
     values = torque[:, faultless].T
     noise = np.array([white_noise_sigma(channel) for channel in values])
@@ -171,11 +174,11 @@ def _find_unusual_noise(
 def _position_findings(
     names: Sequence[str], position: Array, joints: Sequence[JointMotion]
 ) -> Iterator[tuple[int, Finding]]:
-    """Yield findings of moving joints' encoders, by joint index: copied, slow or stuck.
+    """Yield faults of the encoders of moving joints (copied, slow or stuck), with joint indices.
 
-    Slow encoders are no finding if all are slow. Stuck: runs of equal values, `STUCK_FACTOR` times
-    the median length, that end in a jump beyond `JUMP_FACTOR` times the 99.9th percentile of
-    changes.
+    Slow encoders are not reported if all encoders are slow. An encoder is stuck if a run of equal
+    values is longer than `STUCK_FACTOR` times the median length and ends in a jump larger than
+    `JUMP_FACTOR` times the 99.9th percentile of changes.
 
     Args:
         names: Joint names.
@@ -200,14 +203,14 @@ def _position_findings(
 
 
 USABLE_KINDS = {"coarse", "offset-step", "smoothed", "noisy"}
-"""Torque faults whose samples stay in use: all are affected, or the correct part is unknown."""
+"""Torque faults whose samples are still used: all are affected, or the valid ones are unknown."""
 
 
 def channel_faults(source: Source, *, torques: bool = True) -> tuple[ChannelFault, ...]:
     """Faults of a recording's positions and torques, block by block.
 
-    Each segment between gaps is tested in blocks of up to `MAX_BLOCK_SAMPLES`; blocks of fewer than
-    `MIN_SAMPLES` samples are not tested.
+    Each segment between gaps is tested in blocks of up to `MAX_BLOCK_SAMPLES` samples. Blocks of
+    fewer than `MIN_SAMPLES` samples are not tested.
 
     Args:
         source: The recording.
@@ -230,11 +233,11 @@ def _block_faults(
 ) -> Iterator[ChannelFault]:
     """Yield the faults of a block of a recording, positions first.
 
-    Estimates keep the samples of `USABLE_KINDS` of torque faults, and of positions that are not
-    stuck.
+    Estimates still use the samples of torque faults of `USABLE_KINDS`, and of position faults other
+    than stuck encoders.
 
     Args:
-        recording: Block of the recording; without faults below `MIN_SAMPLES` samples.
+        recording: Block of the recording; not tested if shorter than `MIN_SAMPLES` samples.
         first: Index of the block's first sample.
         torques: True to test torques as well as positions.
     """
@@ -271,17 +274,17 @@ def excluded_samples(
     excluded_channels: Sequence[str],
     reach: int,
 ) -> tuple[Spans, ...]:
-    """Samples of each channel that estimates leave out, (k, 2) each.
+    """Ranges of samples of each channel that estimates leave out, (k, 2) each.
 
-    Ranges: index of the first sample, and index after the last. () if no channel leaves out
-    samples.
+    A range consists of the index of the first sample and the index after the last one. The result
+    is empty if no samples are left out.
 
     Args:
         faults: Faults of the recording.
         channels: Names of channels, such as "torque/elbow".
         excluded_channels: Shell patterns of channels that are left out completely.
-        reach: Number of samples on either side of a wrong position that are left out of all
-            channels.
+        reach: Number of samples before and after a wrong position that are left out of all
+            channels, such as the filter half-length.
     """
     margins, all_samples = (
         np.array([-reach, reach]),

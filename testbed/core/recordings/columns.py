@@ -16,7 +16,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, count_with_noun
 
 WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-"""Components of a wrench: channels of the plate."""
+"""Names of the components of a wrench, which are the channels of the plate."""
 
 WRENCH_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 """Units of the components of a wrench."""
@@ -41,7 +41,7 @@ UNITS = {
     | dict.fromkeys(("torque", "friction"), "N")
     | {"temperature": "degC"},
 }
-"""Units of joint signals, by joint type and signal."""
+"""Units of joint signals, keyed by joint type and signal."""
 
 
 def unit_of(column: str, kinds: Mapping[str, str]) -> str:
@@ -49,7 +49,7 @@ def unit_of(column: str, kinds: Mapping[str, str]) -> str:
 
     Args:
         column: Name of the column.
-        kinds: Joint types by joint name; other joints count as revolute.
+        kinds: Joint types keyed by joint name; other joints are assumed to be revolute.
     """
     if column == "time":
         return "s"
@@ -64,7 +64,8 @@ def unit_of(column: str, kinds: Mapping[str, str]) -> str:
 def signal_of(column: str) -> str:
     """Signal of a column.
 
-    truth/position/elbow -> truth/position; position/elbow -> position; time -> time.
+    For example, the signal of truth/position/elbow is truth/position, the signal of position/elbow
+    is position, and the signal of time is time.
     """
     parts = column.split("/")
     return "/".join(parts[:2]) if parts[0] == "truth" else parts[0]
@@ -73,10 +74,10 @@ def signal_of(column: str) -> str:
 def column_members(
     signal: str, joints: tuple[str, ...], sensors: tuple[str, ...] = ()
 ) -> tuple[str, ...]:
-    """Suffixes of a signal's column names: components of wrenches or poses, or joints.
+    """Suffixes of a signal's column names: components of wrenches or poses, or joint names.
 
     Args:
-        signal: Name from `RECORDED_SIGNALS` or, with or without truth/, from `TRUE_SIGNALS`.
+        signal: Name from `RECORDED_SIGNALS`, or from `TRUE_SIGNALS` with or without "truth/".
         joints: Joint names.
         sensors: Names of force sensors.
     """
@@ -98,12 +99,12 @@ def column_members(
 
 
 def joint_names_of_columns(columns: Sequence[str]) -> tuple[str, ...]:
-    """Joint names from the columns of positions."""
+    """Joint names from the column names of positions."""
     return tuple(c.split("/", 1)[1] for c in columns if c.startswith("position/"))
 
 
 def sensor_names_of_columns(columns: Sequence[str]) -> tuple[str, ...]:
-    """Names of the robot's force sensors from the columns of their wrenches."""
+    """Names of the robot's force sensors from the column names of their wrenches."""
     names = (
         c.split("/", 1)[1].rpartition("/")[0]
         for c in columns
@@ -116,7 +117,7 @@ MIN_MOTION_RANGE = 1e-3
 """Smallest range of positions of a moving joint [rad or m]."""
 
 MAX_VALUE = 1e12
-"""Bound on the magnitude of measured values, in any SI unit."""
+"""Upper bound on the magnitude of measured values, in any SI unit."""
 
 
 def check_samples(count: int, source: str) -> None:
@@ -140,7 +141,7 @@ Segments = tuple[tuple[int, int], ...]
 
 
 def segments_of(time: Array, gaps: Sequence[float]) -> Segments:
-    """Segments of a recording between its gaps.
+    """Segments of a recording between its gaps, as index ranges.
 
     Args:
         time: Times of the samples, (M,) [s].
@@ -161,7 +162,7 @@ def check_columns(
         segments: Segments between the gaps.
 
     Raises:
-        RecordingError: A value or time is invalid; the message names the first one.
+        RecordingError: A value or time is invalid; the message names the first invalid one.
     """
     time = columns["time"]
     check_samples(len(time), source)
@@ -172,7 +173,7 @@ def check_columns(
 
 
 def check_values(columns: Mapping[str, Array], source: str, first: int = 0) -> None:
-    """Check that all values of a part of a recording are finite, below `MAX_VALUE`.
+    """Check that all values of a part of a recording are finite and below `MAX_VALUE`.
 
     Args:
         columns: Columns of consecutive samples, (M,) each, including `time`.
@@ -195,7 +196,7 @@ def check_values(columns: Mapping[str, Array], source: str, first: int = 0) -> N
 
 
 def check_times(time: Array, source: str, typical: float, first: int = 0) -> None:
-    """Check that the sampling of a part of a recording is uniform, within 1 %.
+    """Check that the sampling of a part of a recording is uniform to within 1 %.
 
     Args:
         time: Times of consecutive samples, (M,) [s]; fewer than two are not checked.

@@ -14,11 +14,11 @@ from testbed.core.recordings.metadata import JointGeometry, Metadata, vector_tup
 from testbed.core.robot.tree import Tree
 
 GEOMETRY_TOLERANCE = 1e-9
-"""Largest difference of equal axes, offsets [m] and rotation matrices."""
+"""Largest difference between axes, offsets [m] or rotation matrices that are considered equal."""
 
 
 class DescribedSource(Protocol):
-    """Source with joint names and metadata, such as a recording."""
+    """Protocol of a source with joint names and metadata, such as a recording."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -26,11 +26,11 @@ class DescribedSource(Protocol):
 
     @property
     def metadata(self) -> Metadata:
-        """Metadata as in `Recording.metadata`."""
+        """Metadata, as in `Recording.metadata`."""
 
 
 def joint_geometry(tree: Tree) -> dict[str, JointGeometry]:
-    """Geometry of a robot's joints, by joint name."""
+    """Geometry of a robot's joints, keyed by joint name."""
     parents = ["bedplate" if p < 0 else tree.names[p] for p in tree.parents]
     return {
         joint.name: JointGeometry(
@@ -49,9 +49,9 @@ def joint_geometry(tree: Tree) -> dict[str, JointGeometry]:
 
 
 def check_robot(recording: DescribedSource, tree: Tree) -> None:
-    """Check that a recording is of a robot: joint names, and joint geometry if recorded.
+    """Check that a recording belongs to a robot: joint names, and joint geometry if recorded.
 
-    Joint names may be in another order; axes, offsets and rotations agree within
+    The order of the joint names does not matter. Axes, offsets and rotations must agree within
     GEOMETRY_TOLERANCE.
 
     Args:
@@ -78,7 +78,7 @@ def check_robot(recording: DescribedSource, tree: Tree) -> None:
 
 
 def _is_equal(recorded: Any, value: Any) -> bool:
-    """True if a recorded value equals the model's value, numbers within GEOMETRY_TOLERANCE."""
+    """True if a recorded value equals the model's value (numbers within GEOMETRY_TOLERANCE)."""
     if isinstance(value, str):
         return bool(recorded == value)
     if np.shape(recorded) != np.shape(value):
@@ -89,11 +89,11 @@ def _is_equal(recorded: Any, value: Any) -> bool:
 def with_recorded_gravity(
     tree: Tree, source: DescribedSource, gravity: ArrayLike | None = None
 ) -> Tree:
-    """Robot under the given gravity, else the recording's, else the model file's.
+    """Robot with the given gravity or, if it is None, with recorded gravity if available.
 
     Args:
-        tree: The robot.
+        tree: The robot; its own gravity is kept if no other gravity is available.
         source: Recording whose metadata may contain the gravity.
-        gravity: Gravity, (3,) [m/s^2], bedplate frame, or None.
+        gravity: Gravity in the bedplate frame, (3,) [m/s^2], or None.
     """
     return tree.with_gravity(source.metadata.gravity if gravity is None else gravity)

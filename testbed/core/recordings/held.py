@@ -1,4 +1,4 @@
-"""Locking of joints that a recording lacks or does not move; removal of columns."""
+"""Locking of joints that are missing or at rest in a recording; column removal."""
 
 from __future__ import annotations
 
@@ -22,25 +22,24 @@ MAX_SAMPLES = 100_000
 def hold_still(
     file: ModelFile, source: Source, *, lock_only: bool = False
 ) -> tuple[ModelFile, Source, tuple[Diagnostic, ...]]:
-    """Lock the joints that a recording does not move, and remove their columns.
+    """Lock the joints that do not move in a recording, and remove their columns.
 
-    A joint of the file's lock without a position is locked at the recorded mean. A joint that rests
-    in the whole recording (range below `MIN_MOTION_RANGE`) is locked as well, unless all joints
-    rest: its parameters are identifiable only in combination with the carrying body's. Joints that
-    the recording lacks are locked as in `lock_unrecorded_joints`.
+    A joint that the file locks without a position is locked at the recorded mean. A joint at rest
+    in the whole recording (range below `MIN_MOTION_RANGE`) is locked too, unless all joints are at
+    rest, because its parameters are identifiable only in combination with those of the carrying
+    body. Joints missing from the recording are locked as in `lock_unrecorded_joints`.
 
     Args:
         file: The model file; its lock may name recorded joints.
         source: The recording.
-        lock_only: True to leave resting joints free that are not in the lock.
+        lock_only: True to lock only joints that the file locks, not other joints at rest.
 
     Returns:
-        The file with its lock, the recording without locked joints, and diagnostics of joints
-        that were locked without request.
+        The file with its locked joints, the recording without these joints, and diagnostics of
+        joints that were locked without request.
 
     Raises:
-        RecordingError: A joint of the lock is more than 0.01 rad or m from its position at a
-            sample.
+        RecordingError: At some sample, a locked joint is more than 0.01 rad or m from its position.
     """
     file, lock_diagnostics = lock_unrecorded_joints(file, source)
     locked_file, reduced, diagnostics = lock_resting_joints(
@@ -52,10 +51,11 @@ def hold_still(
 def lock_resting_joints(
     file: ModelFile, source: Source, *, lock_only: bool = False
 ) -> tuple[ModelFile, Source, tuple[Diagnostic, ...]]:
-    """Lock recorded joints that are in the lock or rest, and remove their columns.
+    """Lock recorded joints that are locked in the file or at rest; remove their columns.
 
-    Arguments, results and errors as in `hold_still`. Resting joints are locked at the recorded
-    mean, within the joint's range of positions, and named in the diagnostic position.held.
+    Arguments, results and errors are those of `hold_still`. Joints at rest are locked at the
+    recorded mean, limited to the joint's range of positions, and are listed in the diagnostic
+    position.held.
     """
     diagnostics: tuple[Diagnostic, ...] = ()
     requested = [name for name in file.lock if name in source.names]
@@ -93,18 +93,18 @@ def lock_resting_joints(
 def lock_unrecorded_joints(
     file: ModelFile, source: Source
 ) -> tuple[ModelFile, tuple[Diagnostic, ...]]:
-    """Lock joints that a recording lacks, at the mapping's positions or at rest.
+    """Lock joints that a recording lacks, at positions from the mapping or at rest.
 
-    Joints of the file's lock keep its positions. Else the position is that in the `lock` table of
-    the recording's mapping file; without an entry, the rest position of the joint. Without any of
-    the file's joints, the recording is of another robot, and no joint is locked.
+    Joints that the model file locks keep their positions. Other joints get the position in the
+    `lock` table of the recording's mapping file or, if missing there, their rest position. If the
+    recording has no joint of the model file, it belongs to another robot, and no joint is locked.
 
     Args:
         file: The model file.
         source: The recording.
 
     Returns:
-        The file with its lock, and a diagnostic of the locked joints.
+        The file with its locked joints, and a diagnostic that lists them.
 
     Raises:
         ModelError: The file cannot be read.
@@ -126,10 +126,10 @@ def lock_unrecorded_joints(
 
 
 def without_joints(source: Source, names: Collection[str]) -> Source:
-    """Recording without the columns of some joints; if a column is removed, without the truth.
+    """Remove the columns of some joints from a recording, together with its true signals.
 
     Args:
-        source: The recording; unchanged if it has none of the joints.
+        source: The recording; returned unchanged if it has none of the joints.
         names: Names of the joints to remove.
     """
     remaining = tuple(name for name in source.names if name not in names)

@@ -1,4 +1,4 @@
-"""Several recordings of a robot as one source, with gaps between the recordings."""
+"""Several recordings of a robot combined into one source, with gaps between the recordings."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from testbed.core.recordings.source import (
 class Joined(DerivedSource):
     """Source of several recordings of a robot in sequence, with gaps in between.
 
-    The header is the first recording's, with the diagnostics of all recordings and their common
-    signals. Gaps count as samples. All wrenches are shifted to the tare of the first recording.
+    The header is that of the first recording, with the diagnostics of all recordings and their
+    common signals. Gaps are included in the sample numbering. All wrenches are shifted to the tare
+    of the first recording.
     """
 
     def __init__(self, parts: Sequence[Source]) -> None:
         """Join recordings of one robot at one rate.
 
         Args:
-            parts: Recordings in any order; nothing is assumed of the motion in between or in gaps.
+            parts: Recordings in any order; nothing is assumed about the motion between them.
 
         Raises:
             RecordingError: The recordings differ in robot, gravity, rate or presence of a tare.
@@ -61,12 +62,13 @@ class Joined(DerivedSource):
         )
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1 of a single recording, without the truth.
+        """Samples `first` to `last - 1` of a single recording, without the true signals.
 
-        Times count from the start of the first recording; signals that are not common are removed.
+        Times are measured from the start of the first recording. Signals that some recordings lack
+        are removed.
 
         Raises:
-            ValueError: The samples are in a gap or of several recordings.
+            ValueError: The samples are in a gap or belong to several recordings.
         """
         for part, (begin, end) in zip(self._parts, self.segments, strict=True):
             if begin <= first and last <= end:
@@ -90,7 +92,7 @@ class Joined(DerivedSource):
 
 
 def joined(parts: Sequence[Source]) -> Source:
-    """Join recordings of a robot to one source; return a single recording unchanged.
+    """Join recordings of a robot into one source; return a single recording unchanged.
 
     Args:
         parts: One or more recordings.
@@ -104,7 +106,7 @@ def joined(parts: Sequence[Source]) -> Source:
 def _check_consistency(parts: Sequence[Source]) -> None:
     """Check that recordings agree in joints, rate, gravity, geometry and presence of a tare.
 
-    Joints may differ in order, rates by 0.1 %.
+    The joints may be in different orders, and rates may differ by 0.1 %.
 
     Raises:
         RecordingError: A recording differs from the first one.

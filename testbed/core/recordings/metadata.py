@@ -14,7 +14,7 @@ Vector3 = tuple[float, float, float]
 Table = Mapping[str, Any]
 
 FILE_KEYS = {"report": "import"}
-"""Key in files by field name, where the key is a reserved word of Python."""
+"""Keys in files that are reserved words of Python, keyed by field name."""
 
 
 def vector_tuple(vector: Array) -> Vector3:
@@ -25,11 +25,11 @@ def vector_tuple(vector: Array) -> Vector3:
 
 @dataclass(frozen=True)
 class JointGeometry:
-    """Geometry of a joint; None for unknown values.
+    """Geometry of a joint; unknown values are None.
 
     Attributes:
         kind: Type of the joint.
-        parent: Name of the parent joint, "bedplate" without a parent.
+        parent: Name of the parent joint, or "bedplate" if there is no parent joint.
         axis: Joint axis in the frame B of the joint's body.
         offset: Position p_PB_P of frame B in the parent's frame P [m].
         rotation: Rotation matrix R_PB at position zero, row by row.
@@ -48,20 +48,20 @@ class Metadata:
 
     Attributes:
         robot: Name of the robot.
-        gravity: Gravity (gx, gy, gz) [m/s^2], bedplate frame.
-        geometry: Geometry of the joints, by joint name.
-        counted: Time of the first evaluated sample, and time after the last [s].
+        gravity: Gravity (gx, gy, gz) in the bedplate frame [m/s^2].
+        geometry: Geometry of the joints, keyed by joint name.
+        counted: Time of the first evaluated sample, and time after the last one [s].
         gaps: Times of the first samples after gaps [s].
-        sensors: Places of force sensors in the robot, by sensor name.
-        segment: Name of the force sensor of the wrench, then names of the further sensors whose
-            wrenches were subtracted.
-        effort: Source of the torque, by joint: "current", "pwm", "motor" or "torque".
+        sensors: Positions of the force sensors in the robot, keyed by sensor name.
+        segment: Name of the force sensor that measured the wrench, then names of the sensors whose
+            wrenches were subtracted from it.
+        effort: Source of the torque, keyed by joint: "current", "pwm", "motor" or "torque".
         mapping: Content of the mapping file of the import; None for other recordings.
         report: Report of the import.
         verdict: Verdict of the check, and hash of the checked data.
         diagnostics: Diagnostics of the recording.
         model_sha256: Hash of the model file that was simulated.
-        others: Other metadata by name, unchanged.
+        others: Other metadata keyed by name, unchanged.
     """
 
     __pydantic_config__: ClassVar[Any] = {"allow_inf_nan": False}
@@ -85,7 +85,7 @@ class Metadata:
         """Parse metadata from a table of a file.
 
         Args:
-            content: Values as parsed from JSON; null counts as unknown, unknown keys go to
+            content: Values as parsed from JSON; null means unknown, and unknown keys are stored in
                 `others`.
 
         Raises:
@@ -109,9 +109,9 @@ class Metadata:
         return metadata
 
     def table(self) -> dict[str, Any]:
-        """Known metadata as values for JSON text, by key.
+        """Known metadata as values that can be written as JSON, by key.
 
-        Values equal to the default are left out; the entries of `others` are keys of the table.
+        Values equal to the default are left out. The items of `others` become keys of the table.
         """
         content: dict[str, Any] = to_json_values(self)
         known = {
@@ -124,4 +124,4 @@ class Metadata:
 
 
 NO_METADATA = Metadata()
-"""Metadata of a recording without any known facts."""
+"""Metadata of a recording for which all values are unknown."""

@@ -1,7 +1,7 @@
 """Recordings: signals measured by an instrument and, separately, the simulated truth.
 
-Wrench    of the bedplate on the robot, force first, bedplate axes, moment about O^0
-Times     of the first instant of each sample
+Wrench    wrench of the bedplate on the robot, force first, along the bedplate's axes, about O^0
+Times     first instant of each sample
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FILE_SIGNALS = (*RECORDED_SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNAL
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """True signals of a simulation, at the sampling times, for comparison only.
+    """True signals of a simulation at the sampling times, for comparison only.
 
     Attributes:
         position: Joint positions, (M, n) [rad or m].
@@ -66,9 +66,9 @@ class Truth:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Summarized):
-    """Recording at a constant rate: joint positions, with motor torques, plate wrench or both.
+    """Recording at a constant rate: joint positions with motor torques, plate wrench, or both.
 
-    There may be gaps; `segments` are the blocks between the gaps.
+    A recording may have gaps; `segments` are the blocks of samples between the gaps.
 
     Attributes:
         names: Joint names; the order of all joint columns.
@@ -81,14 +81,14 @@ class Recording(Summarized):
         acceleration: Sensed accelerations, (M, n) [rad/s^2 or m/s^2]; None if not sensed.
         tare: Known static wrench of the pedestal on the plate, (6,) [N, N m]; if None, the
             model's pedestal is assumed.
-        sensors: Wrenches of the force sensors in the robot side by side, (M, 6 S) [N, N m]:
-            wrench of each sensor on the links beyond, about the sensor's origin, in its axes.
-        sensor_names: Names of these force sensors; their places are in `metadata.sensors`.
-        base: Position and quaternion (w, x, y, z) of a moving base, in the ground frame, (M, 7)
-            [m]; the wrench is then the ground's, about the ground's origin.
+        sensors: Wrenches of the S force sensors in the robot, side by side, (M, 6 S) [N, N m]: the
+            wrench that each sensor exerts on the links beyond, about its origin, along its axes.
+        sensor_names: Names of these force sensors; `metadata.sensors` has their positions.
+        base: Position and quaternion (w, x, y, z) of a moving base in the ground frame, (M, 7) [m];
+            the wrench is then that of the ground, about the origin of the ground frame.
         temperature: Temperatures of the joints' drives, (M, n) [degC].
         truth: True signals of a simulated recording; None for real recordings.
-        metadata: Robot, gravity, mapping, and other known facts.
+        metadata: Robot, gravity, mapping, and other metadata.
     """
 
     names: tuple[str, ...]
@@ -148,7 +148,7 @@ class Recording(Summarized):
         """Sampling rate [Hz], from the first segment.
 
         Raises:
-            RecordingError: The times have no valid sampling time.
+            RecordingError: The sampling time is invalid.
         """
         first, last = self.segments[0]
         length, steps = float(self.time[last - 1] - self.time[first]), last - first - 1
@@ -170,27 +170,27 @@ class Recording(Summarized):
         return values
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1, without the truth and without copying."""
+        """Samples `first` to `last - 1`, without the true signals and without copying."""
         signals: dict[str, Any] = {
             s: self.measured(s)[first:last] for s in self.signals
         }
         return replace(self, truth=None, **signals)
 
     def blind(self) -> Recording:
-        """Recording without the truth, as passed to estimators."""
+        """Recording without the true signals, as passed to estimators."""
         return replace(self, truth=None)
 
     def ordered(self, tree: Tree) -> Recording:
-        """Recording with joint columns in the order of `tree.names`, truth included.
+        """Recording with joint columns in the order of `tree.names`, including true signals.
 
         Raises:
-            RecordingError: The recording is of another robot.
+            RecordingError: The recording belongs to another robot.
         """
         check_robot(self, tree)
         return self if self.names == tree.names else self.of_joints(tree.names)
 
     def of_joints(self, names: Sequence[str]) -> Recording:
-        """Recording with the columns of some joints, truth included.
+        """Recording with the columns of some joints, including true signals.
 
         Args:
             names: Names of recorded joints, in the order of the new columns.
@@ -207,7 +207,7 @@ class Recording(Summarized):
         return replace(self, names=tuple(names), truth=truth, **selected)
 
     def columns(self) -> dict[str, Array]:
-        """Measured channels by column name, (M,) each."""
+        """Measured channels keyed by column name, (M,) each."""
         columns: dict[str, Array] = {}
         for signal in self.signals:
             columns |= _signal_columns(
@@ -216,7 +216,7 @@ class Recording(Summarized):
         return columns
 
     def true_columns(self) -> dict[str, Array]:
-        """True signals by column name, (M,) each; empty without truth."""
+        """True signals keyed by column name, (M,) each; empty for real recordings."""
         columns: dict[str, Array] = {}
         for signal in TRUE_SIGNALS if self.truth is not None else ():
             values = getattr(self.truth, signal)
@@ -227,7 +227,7 @@ class Recording(Summarized):
         return columns
 
     def units(self) -> dict[str, str]:
-        """Unit of every column, truth included, by column name."""
+        """Unit of each column, including true signals, keyed by column name."""
         joint_types = {
             name: joint.kind or "revolute"
             for name, joint in self.metadata.geometry.items()
@@ -248,10 +248,10 @@ class Recording(Summarized):
         """Build a recording from the columns and metadata of a file.
 
         Args:
-            columns: Columns by name, (M,) each; `time` and a position of every joint are required.
-                Columns of unknown signals are ignored, true signals unless all are present (sensors
-                are optional).
-            header: Tare and metadata as in `Recording.header`, unchecked.
+            columns: Columns keyed by name, (M,) each; `time` and the position of each joint are
+                required. Columns of unknown signals are ignored, and so are true signals unless
+                they are complete (wrenches of sensors are optional).
+            header: Tare and metadata as in `Recording.header`, not yet checked.
             source: Name of the recording, for error messages.
 
         Raises:
@@ -294,11 +294,11 @@ class Recording(Summarized):
         """Build a recording from a data frame or from arrays, at a constant rate.
 
         Args:
-            frame: A data frame of pandas or polars, an Arrow table, or arrays by name. Columns are
-                `time` [s] and `position/JOINT` [rad or m], and optionally `torque/JOINT`
-                [N m or N], `velocity/JOINT`, `acceleration/JOINT` and the wrench of the plate on
-                the robot `wrench/Fx` ... `wrench/Mz` [N, N m]. In a mapping, `position`, `torque`
-                and `wrench` may be arrays, (M, joints) or (M, 6).
+            frame: A data frame of pandas or polars, an Arrow table, or a mapping from names to
+                arrays. Columns are `time` [s] and `position/JOINT` [rad or m], and optionally
+                `torque/JOINT` [N m or N], `velocity/JOINT`, `acceleration/JOINT` and the wrench of
+                the plate on the robot, `wrench/Fx` ... `wrench/Mz` [N, N m]. In a mapping,
+                `position`, `torque` and `wrench` may be arrays, (M, joints) or (M, 6).
             robot: The robot; columns of arrays are in the order of its joint names.
 
         Raises:
@@ -322,7 +322,7 @@ class Recording(Summarized):
 
     @property
     def summary(self) -> SummaryTable:
-        """Table of the length, and of rms and range of every channel."""
+        """Table of the recording's length, and of the rms value and range of each channel."""
         rows: list[tuple[str, ...]] = [("channel", "rms", "least", "greatest")]
         for name, values in self.columns().items():
             if name != "time":
@@ -335,7 +335,7 @@ class Recording(Summarized):
         return SummaryTable(head, tuple(rows))
 
     def save(self, path: str | Path) -> None:
-        """Write to a Parquet file, completely or not at all.
+        """Write the recording to a Parquet file, completely or not at all.
 
         Raises:
             RecordingError: The path is an existing file in another format.
@@ -355,8 +355,8 @@ class Recording(Summarized):
         """Read a recording from a Parquet file, and check its values.
 
         Raises:
-            RecordingError: The file is missing, damaged or incomplete, or holds values
-                that are not numbers, or its sampling is not uniform.
+            RecordingError: The file is missing, damaged or incomplete, contains values that are not
+                numbers, or its sampling is not uniform.
         """
         from testbed.core.recordings.formats.parquet import open_table
 
@@ -371,10 +371,10 @@ class Recording(Summarized):
 
 
 def parse_header(header: Any) -> tuple[Array | None, Metadata]:
-    """Parse tare and metadata of a file, from the keys "tare" and "facts".
+    """Parse tare and metadata from the keys "tare" and "facts" of a file header.
 
     Args:
-        header: Header as read from the file, unchecked.
+        header: Header as read from the file, not yet checked.
 
     Returns:
         Tare, (6,) [N, N m], or None; and metadata, empty if the key is missing.
@@ -400,7 +400,7 @@ def parse_header(header: Any) -> tuple[Array | None, Metadata]:
 def _signal_columns(
     signal: str, values: Array, joints: tuple[str, ...], sensors: tuple[str, ...]
 ) -> dict[str, Array]:
-    """Columns of a signal by name, (M,) each.
+    """Columns of a signal keyed by name, (M,) each.
 
     Args:
         signal: Name of the signal.
@@ -421,7 +421,7 @@ def _stacked_signal(
     sensors: tuple[str, ...],
     source: str,
 ) -> Array:
-    """Stack the columns of a signal to an array, (M, k), or (M,) for the time.
+    """Stack the columns of a signal into an array, (M, k), or (M,) for the time.
 
     Raises:
         RecordingError: A column of the signal is missing.

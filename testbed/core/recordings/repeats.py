@@ -17,16 +17,16 @@ SPLINE_DEGREE = 5
 def interpolate_repeated_poses(source: Source) -> tuple[Source, float]:
     """Replace regularly repeated poses of a recording by spline interpolation.
 
-    Poses repeat regularly if more than 95 % of the runs of equal poses have the median length,
-    above one. A quintic spline through the new poses (`new_sample_mask`) replaces the others;
-    samples after the last new pose are removed. Recordings of more than 200,000 samples, with gaps,
-    or with sensed velocities and accelerations are returned unchanged.
+    Poses are regularly repeated if more than 95 % of the runs of equal poses have the median
+    length, and this length is above one. A quintic spline through the new poses (`new_sample_mask`)
+    replaces the other poses; samples after the last new pose are removed. Recordings with more than
+    200,000 samples, with gaps, or with sensed velocities and accelerations are returned unchanged.
 
     Args:
         source: The recording.
 
     Returns:
-        The recording, and the share of repeated poses that were replaced; 0 if unchanged.
+        The recording, and the share of repeated poses that were replaced (0 if unchanged).
     """
     # largest number of samples that are read at once
     if source.samples > 200_000 or source.senses_kinematics or len(source.segments) > 1:
@@ -52,16 +52,16 @@ def interpolate_repeated_poses(source: Source) -> tuple[Source, float]:
 
 
 REST_FACTOR = 4
-"""Smallest length of a rest of the robot, as a multiple of the typical run of equal samples."""
+"""Smallest length of a rest period, as a multiple of the typical run of equal samples."""
 
 
 def new_sample_mask(values: Array) -> NDArray[np.bool_]:
     """Mask of new measurements of a device that is sampled faster than it measures.
 
-    The usual length of a run of equal samples is the 90th percentile. The first sample of a run is
-    new; in longer runs, one sample per usual length. If the usual length is one sample, runs of up
-    to `REST_FACTOR` samples are new only at the first sample, and all samples of longer runs, rests
-    of the robot, are new.
+    The usual length of a run of equal samples is the 90th percentile. The first sample of each run
+    is new; in longer runs, one sample per usual length is new. If the usual length is one sample,
+    only the first sample of runs of up to `REST_FACTOR` samples is new, while all samples of longer
+    runs, in which the robot is at rest, are new.
 
     Args:
         values: Values of all channels, (M, k).
@@ -80,9 +80,10 @@ def new_sample_mask(values: Array) -> NDArray[np.bool_]:
 
 
 def repeated_sample_share(values: Array) -> float:
-    """Share of samples that repeat the previous sample, without rests of the robot.
+    """Share of samples that repeat the previous sample, excluding rest periods of the robot.
 
-    Rests are runs of equal samples longer than `REST_FACTOR` times their 90th percentile.
+    Rest periods are runs of equal samples longer than `REST_FACTOR` times the 90th percentile of
+    run lengths.
 
     Args:
         values: Values of all channels, (M, k).
@@ -104,5 +105,5 @@ def runs_of_equal_rows(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp
 
 
 def _typical_length(lengths: NDArray[np.intp]) -> int:
-    """Typical length of a run in motion: 90th percentile of all lengths."""
+    """Typical length of a run of equal samples in motion: 90th percentile of all lengths."""
     return max(1, int(np.percentile(lengths, 90, method="lower")))

@@ -1,7 +1,7 @@
 """Errors of sampling times detected in positions: lost rows, repeated rows, jitter.
 
-An error of a time shifts all joints along their velocities; encoder noise shifts each joint
-independently.
+An error of a sampling time shifts the positions of all joints along their velocities, whereas
+encoder noise shifts each position independently.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
 from testbed.core.recordings.source import Source, longest_segment
 
 MAX_SAMPLES = 20_000
-"""Largest number of samples that are analysed."""
+"""Largest number of analysed samples."""
 
 INTERPOLATION_WEIGHTS = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6
-"""Weights of neighbouring increments that interpolate an increment to third order."""
+"""Weights of neighbouring position increments that interpolate an increment to third order."""
 
 VARIANCE_GAIN = float(
     np.sum(np.convolve(np.eye(5)[2] - INTERPOLATION_WEIGHTS, [1.0, -1.0]) ** 2)
 )
-"""Variance of an increment's interpolation error over the variance of white position errors."""
+"""Ratio of the variance of interpolation errors to the variance of white position errors."""
 
 MIN_ROW_ERROR, Z_THRESHOLD = 0.6, 8.0
-"""Smallest error of an increment at a lost or repeated row: in samples, in standard deviations."""
+"""Smallest increment error at a lost or repeated row, in samples and in standard deviations."""
 
 MIN_ROW_DISTANCE = 4
-"""Smallest distance of two lost or repeated rows in moving samples."""
+"""Smallest distance between two lost or repeated rows, in moving samples."""
 
 MAX_ROW_SHARE = 0.1
-"""Largest share of lost or repeated rows among moving samples; a larger share is jitter."""
+"""Largest share of lost or repeated rows among moving samples; a larger share means jitter."""
 
 MAX_BALANCE = 0.3
-"""Largest ratio of the rarer to the more frequent kind of row; a larger ratio is jitter."""
+"""Largest ratio of the rarer to the more frequent kind of row; a larger ratio means jitter."""
 
 MIN_JITTER, NOISE_FACTOR = 3e-5, 3.0
-"""Smallest reported jitter: in [s], and as a multiple of the encoder noise, added."""
+"""Smallest reported jitter: the sum of a time [s] and a multiple of the encoder noise."""
 
 MIN_RELATIVE_SPEED = 0.5
 """Smallest speed of an analysed sample, as a share of the median speed."""
@@ -54,7 +54,7 @@ class SamplingTimeErrors:
     Attributes:
         lost: Times of the rows after missing rows, (k,) [s].
         repeated: Times of repeated rows, (k,) [s].
-        jitter: Standard deviation of the sampling times [s]; zero where noise hides the jitter.
+        jitter: Standard deviation of the sampling times [s]; zero if noise hides the jitter.
     """
 
     lost: Array
@@ -67,7 +67,7 @@ class SamplingTimeErrors:
         return not (len(self.lost) or len(self.repeated) or self.jitter)
 
     def diagnostics(self) -> Iterator[Diagnostic]:
-        """Yield diagnostics of lost rows, repeated rows and jitter, as far as detected."""
+        """Yield diagnostics of the detected lost rows, repeated rows and jitter."""
         for kind, times in (("lost", self.lost), ("repeated", self.repeated)):
             if len(times):
                 first = ", ".join(f"{time:.4g}" for time in times[:3])
@@ -79,13 +79,14 @@ class SamplingTimeErrors:
 
 
 NO_TIMING_ERRORS = SamplingTimeErrors(np.zeros(0), np.zeros(0), 0.0)
-"""Sampling times without errors."""
+"""Result for sampling times without errors."""
 
 
 def detect_sampling_time_errors(source: Source) -> SamplingTimeErrors:
-    """Errors of sampling times in the first `MAX_SAMPLES` of a recording's longest segment.
+    """Detect errors of sampling times in the longest segment of a recording.
 
-    A recording with sensed velocities and accelerations is not tested: no errors are returned.
+    At most `MAX_SAMPLES` samples are analysed. A recording with sensed velocities and accelerations
+    is not tested, and no errors are returned.
 
     Args:
         source: The recording.
@@ -98,13 +99,13 @@ def detect_sampling_time_errors(source: Source) -> SamplingTimeErrors:
 
 
 class _Increments(NamedTuple):
-    """Position increments of moving samples and errors of interpolation from neighbours.
+    """Position increments of moving samples, and their errors of interpolation from neighbours.
 
     Attributes:
         time: Time after each increment, (m,) [s].
         motion_error: Component of the error along the motion, (m,).
         size: Magnitude of each increment, (m,).
-        noise: Standard deviation of the errors normal to the motion.
+        noise: Standard deviation of the error components normal to the motion.
     """
 
     time: Array
@@ -118,9 +119,9 @@ def sampling_time_errors(time: Array, position: Array) -> SamplingTimeErrors:
 
     A lost or repeated row is an increment whose error along the motion exceeds `MIN_ROW_ERROR`
     samples and `Z_THRESHOLD` standard deviations of the errors normal to the motion. Jitter is the
-    rest of the error along the motion beyond the error normal to it; if lost and repeated rows are
-    about equally frequent, or very frequent, all errors count as jitter. No errors for few moving
-    samples.
+    remaining error along the motion in excess of the error normal to it. If lost and repeated rows
+    are about equally frequent, or very frequent, all errors are treated as jitter. If there are too
+    few moving samples, no errors are returned.
 
     Args:
         time: Times of the samples, evenly spaced, (M,) [s].
@@ -154,10 +155,10 @@ def sampling_time_errors(time: Array, position: Array) -> SamplingTimeErrors:
 
 
 def _increments(time: Array, position: Array) -> _Increments | None:
-    """Increments of moving samples; None if there are too few samples.
+    """Position increments of moving samples; None if there are too few samples.
 
-    Samples move where the speed, smoothed over nine increments, exceeds `MIN_RELATIVE_SPEED` of its
-    median. At least ten times as many as `INTERPOLATION_WEIGHTS` are required.
+    A sample is moving if the speed, smoothed over nine increments, exceeds `MIN_RELATIVE_SPEED`
+    times its median. At least ten moving samples per element of `INTERPOLATION_WEIGHTS` are needed.
 
     Args:
         time: Times of the samples, evenly spaced, (M,) [s].
@@ -187,8 +188,8 @@ def _moving_sums(steps: Array, weights: Array) -> Array:
 def _noise(error: Array, direction: Array) -> float:
     """Standard deviation of increment errors normal to the motion.
 
-    If a single joint moves, no direction is normal to the motion: all its errors count, which
-    hides jitter.
+    If a single joint moves, no direction is normal to the motion. All errors of this joint are then
+    used, which hides jitter.
 
     Args:
         error: Errors of increments, (m, n).
@@ -213,18 +214,18 @@ def _noise(error: Array, direction: Array) -> float:
 
 
 def _deviation(values: Array) -> float:
-    """Robust standard deviation from the median of magnitudes."""
+    """Robust standard deviation, estimated from the median of magnitudes."""
     return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
 
 
 def _row_times(
     time: Array, relative: Array, is_significant: NDArray[np.bool_]
 ) -> Array:
-    """Times of isolated errors of about a sample, largest among neighbours, (k,).
+    """Times of isolated errors of about one sample, largest among neighbouring increments, (k,).
 
     Args:
         time: Time after each increment, (m,) [s].
-        relative: Error of each increment in samples, positive for the kind sought, (m,).
+        relative: Error of each increment in samples, positive for the wanted kind of row, (m,).
         is_significant: True for errors well above the noise, (m,).
     """
     times: list[float] = []

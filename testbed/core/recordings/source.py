@@ -1,4 +1,4 @@
-"""Sources of samples: memory, memory maps, files and streams; selection of samples."""
+"""Sources of samples (memory, memory maps, files, streams), and selection of samples."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ def check_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
 
 
 class DerivedSource:
-    """Base class with the header of sources that are not recordings in memory.
+    """Base class of sources other than recordings in memory, with the recording's header.
 
     Attributes:
         names: Joint names.
         samples: Number of samples.
         rate: Sampling rate [Hz].
-        tare: Tare as in `Recording.tare`.
-        metadata: Metadata as in `Recording.metadata`.
-        signals: Signals as in `Recording.signals`.
+        tare: Tare, as in `Recording.tare`.
+        metadata: Metadata, as in `Recording.metadata`.
+        signals: Signals, as in `Recording.signals`.
         senses_kinematics: True if both velocities and accelerations were sensed.
-        segments: Segments as in `Recording.segments`.
+        segments: Segments, as in `Recording.segments`.
     """
 
     def __init__(self, header: Source, samples: int, rate: float) -> None:
@@ -83,8 +83,8 @@ class StoredRecording(DerivedSource):
         """Open a file; read its first and last samples, and all times if there are gaps.
 
         Raises:
-            RecordingError: The file is missing or damaged, a channel is missing, or its times
-                have no valid sampling time.
+            RecordingError: The file is missing or damaged, a channel is missing, or the sampling
+                time is invalid.
         """
         from testbed.core.recordings.formats.parquet import open_table
 
@@ -108,10 +108,10 @@ class StoredRecording(DerivedSource):
             self.rate = steps / length
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1 from the file; fast for parts in order.
+        """Samples `first` to `last - 1` of the file; fastest for consecutive parts.
 
         Raises:
-            RecordingError: The file is damaged there, or a value is not valid.
+            RecordingError: These rows of the file are damaged, or a value is not valid.
         """
         columns = self._table.read(self._columns, first, last)
         recording = Recording.from_columns(
@@ -123,7 +123,7 @@ class StoredRecording(DerivedSource):
 
 @runtime_checkable
 class Source(Protocol):
-    """Source of samples, part by part: a `Recording` in memory or in a file."""
+    """Protocol of sources of samples that are read part by part, such as a `Recording`."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -139,15 +139,15 @@ class Source(Protocol):
 
     @property
     def tare(self) -> Array | None:
-        """Tare as in `Recording.tare`."""
+        """Tare, as in `Recording.tare`."""
 
     @property
     def metadata(self) -> Metadata:
-        """Metadata as in `Recording.metadata`."""
+        """Metadata, as in `Recording.metadata`."""
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Signals as in `Recording.signals`."""
+        """Signals, as in `Recording.signals`."""
 
     @property
     def senses_kinematics(self) -> bool:
@@ -155,21 +155,21 @@ class Source(Protocol):
 
     @property
     def segments(self) -> Segments:
-        """Segments as in `Recording.segments`."""
+        """Segments, as in `Recording.segments`."""
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1, without the truth."""
+        """Samples `first` to `last - 1`, without the true signals."""
 
 
 RecordingLike: TypeAlias = Recording | Source | str | Path | Iterable[Recording]
-"""Recording in memory, path of a Parquet file, or parts in order of time."""
+"""Recording in memory, path of a Parquet file, or parts of a recording in order of time."""
 
 
 class SourceRange(DerivedSource):
     """Range of consecutive samples of a source."""
 
     def __init__(self, whole: Source, first: int, last: int) -> None:
-        """Select samples `first` to `last` - 1 of a source.
+        """Select samples `first` to `last - 1` of a source.
 
         Args:
             whole: Source of the samples.
@@ -184,7 +184,7 @@ class SourceRange(DerivedSource):
         )
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1 of this range, without the truth."""
+        """Samples `first` to `last - 1` of this range, without the true signals."""
         return self._whole.part(self._first + first, self._first + last)
 
 
@@ -192,7 +192,7 @@ def segment_sources(source: Source) -> list[Source]:
     """Segments of a recording between its gaps, as a list of sources.
 
     Args:
-        source: The recording; without gaps, the only source in the list.
+        source: The recording; if it has no gaps, it is the only element of the list.
     """
     if len(source.segments) == 1:
         return [source]
@@ -230,7 +230,7 @@ def open_source(recording: RecordingLike) -> Source:
 def gather_parts(parts: Iterable[Recording]) -> Recording:
     """Gather parts into one recording, memory-mapped from unnamed temporary files.
 
-    The parts need not fit into memory together. The files are deleted with the recording.
+    The parts need not fit into memory together. The files are deleted when the recording is.
 
     Args:
         parts: Parts of a recording in order of time.
@@ -255,7 +255,7 @@ def gather_parts(parts: Iterable[Recording]) -> Recording:
 
 
 def _memory_map(file: IO[bytes], recording: Recording, name: str) -> Array:
-    """Memory map of a file of doubles, with the columns of a recording's signal."""
+    """Memory map of a file of float64 values, with the columns of a recording's signal."""
     file.flush()
     shape = (-1, *getattr(recording, name).shape[1:])
     if not file.tell():  # nothing can be mapped: not a sample in all parts
@@ -269,11 +269,11 @@ def evaluated_samples(source: Source, span: Sequence[float] | None = None) -> So
 
     Args:
         source: A single recording.
-        span: Time of the first sample and time after the last sample [s]; default the span in the
-            metadata, such as the motion between two rests, else all samples.
+        span: Time of the first sample and time after the last sample [s]; by default the span in
+            the metadata (such as the motion between two rest periods) or, without it, all samples.
 
     Raises:
-        RecordingError: No sample is in the span.
+        RecordingError: The span contains no samples.
     """
     span = span or source.metadata.counted
     if span is None or source.samples < 2:

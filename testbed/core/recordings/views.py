@@ -26,9 +26,9 @@ from testbed.core.robot.tree import Tree
 
 
 def is_imported(source: Source) -> bool:
-    """True if a recording was imported by a mapping file.
+    """True if a recording was imported with a mapping file.
 
-    Such a recording is of a real robot, whose drives have offsets and couplings.
+    An imported recording comes from a real robot, whose drives have offsets and couplings.
 
     Args:
         source: The recording.
@@ -37,7 +37,7 @@ def is_imported(source: Source) -> bool:
 
 
 def has_motor_torques(source: Source) -> bool:
-    """True if a joint torque was computed from motor current, voltage or motor torque.
+    """True if a joint torque was computed from a motor current, voltage or torque.
 
     Args:
         source: The recording.
@@ -58,7 +58,7 @@ def states_pedestal_share(source: Source) -> bool:
 def with_gear_shafts(tree: Tree, source: Source) -> Tree:
     """Robot with the shafts of a recording's gear matrix (`coupled_shafts`).
 
-    The robot is unchanged if it has shafts already, or lacks a joint of the matrix's shafts.
+    The robot is returned unchanged if it already has shafts, or lacks a joint of the gear matrix.
 
     Args:
         tree: The robot.
@@ -70,13 +70,13 @@ def with_gear_shafts(tree: Tree, source: Source) -> Tree:
 
 
 def coupled_shafts(mapping: Mapping[str, Any]) -> ShaftRatios:
-    """Shafts from rows of the gear matrix with several joints, named JOINT.motor.
+    """Shafts from rows of the gear matrix that couple several joints, named JOINT.motor.
 
-    A row is divided by the coefficient of the joint JOINT or, if zero, by the largest coefficient.
-    Empty without a valid gear matrix.
+    A row is divided by the coefficient of the joint JOINT or, if this is zero, by the largest
+    coefficient. The result is empty if there is no valid gear matrix.
 
     Args:
-        mapping: Mapping of a recording, unchecked.
+        mapping: Mapping of a recording, not yet checked.
     """
     try:
         joints = [str(joint) for joint in mapping["joints"]]
@@ -119,7 +119,7 @@ class TransformedSource(DerivedSource):
         )
 
     def part(self, first: int, last: int) -> Recording:
-        """Transformed samples `first` to `last` - 1, without the truth.
+        """Transformed samples `first` to `last - 1`, without the true signals.
 
         Raises:
             RecordingError: The part cannot be transformed.
@@ -131,7 +131,7 @@ def with_base_joints(recording: Recording) -> Recording:
     """Replace the measured base poses of a recording by positions of six joints.
 
     The joints x, y, z, yaw, pitch, roll [m, rad] come first. Torques, velocities, accelerations,
-    temperatures, truth and the metadata's geometry are removed.
+    temperatures, true signals and the geometry in the metadata are removed.
 
     Args:
         recording: Recording with base poses.
@@ -162,7 +162,7 @@ def with_base_joints(recording: Recording) -> Recording:
 def joint_recording(recording: Recording, names: Sequence[str]) -> Recording:
     """Recording of some joints, without the joint geometry in the metadata.
 
-    Without geometry, the recording is not checked against a whole robot.
+    Because the geometry is removed, the recording is not compared with the whole robot.
 
     Args:
         recording: Recording with these and other joints.
@@ -173,16 +173,17 @@ def joint_recording(recording: Recording, names: Sequence[str]) -> Recording:
 
 
 def segment_recording(recording: Recording, tree: Tree) -> Recording:
-    """Recording of a robot's part between force sensors, with the part's wrench.
+    """Recording of a robot's part between force sensors, with the wrench on this part.
 
-    The wrench is the first sensor's minus the next sensors', transformed to the first sensor.
-    Torques are removed, because they also move other bodies. The tare remains if it is the plate's
-    or the only sensor's; else the model's static wrench of the pedestal replaces it.
+    The wrench is that of the first sensor, minus the wrenches of the next sensors, transformed to
+    the frame of the first sensor. Torques are removed, because they also move other bodies. The
+    tare is kept if it belongs to the plate or to the only sensor; otherwise it is replaced by the
+    model's static wrench of the pedestal.
 
     Args:
-        recording: Recording with the sensors' wrenches; `wrench` is the plate's, or the only
-            sensor's.
-        tree: Part of the robot between the sensors, and the joints before this part.
+        recording: Recording with the wrenches of the sensors; `wrench` is that of the plate or of
+            the only sensor.
+        tree: Part of the robot between the sensors, with the joints before this part.
 
     Raises:
         RecordingError: The recording lacks a joint or a sensor.
@@ -239,9 +240,9 @@ def segment_recording(recording: Recording, tree: Tree) -> Recording:
 def _sensor_mapping(
     mapping: Mapping[str, Any] | None, sensor: str
 ) -> Mapping[str, Any] | None:
-    """Mapping with the columns of a single sensor, without columns of plates.
+    """Mapping with the columns of a single sensor, without the columns of plates.
 
-    Unchanged if the mapping lacks the sensor.
+    The mapping is returned unchanged if it lacks the sensor.
     """
     columns = (mapping or {}).get("sensors", {}).get(sensor)
     if mapping is None or columns is None:
@@ -251,14 +252,14 @@ def _sensor_mapping(
 
 
 def _segment_sensors(tree: Tree) -> tuple[str, ...]:
-    """Name of a part's force sensor, "" for the plate, then of the next sensors."""
+    """Names of a part's force sensor ("" for the plate) and of the next sensors."""
     return (tree.sensor.name if tree.sensor else "", *(cut.name for cut in tree.cuts))
 
 
 def _wrenches_by_sensor(
     recording: Recording, plate: Array | None, sensors: Array | None
 ) -> dict[str, Array]:
-    """Wrenches by sensor name, (M, 6) each, "" for the plate."""
+    """Wrenches keyed by sensor name ("" for the plate), (M, 6) each."""
     wrenches = {} if plate is None else {"": plate}
     if sensors is not None:
         names = recording.sensor_names
@@ -273,13 +274,13 @@ def _segment_wrench(
 ) -> Array | None:
     """Wrench of the first sensor minus the next sensors' wrenches, (M, 6).
 
-    In the first sensor's frame. The only wrench of a recording counts as the first sensor's; None
-    if the first sensor has no wrench.
+    The result is in the frame of the first sensor; it is None if the first sensor has no wrench. If
+    a recording has a single wrench, it is taken as the wrench of the first sensor.
 
     Args:
         tree: Part of the robot between the sensors.
         position: Joint positions, (M, n) [rad or m].
-        wrenches: Wrenches by sensor name, (M, 6) each.
+        wrenches: Wrenches keyed by sensor name, (M, 6) each [N, N m].
 
     Raises:
         RecordingError: One of the next sensors has no wrench.
@@ -312,11 +313,12 @@ def adapt_to_robot(source: Source, tree: Tree) -> Source: ...
 
 
 def adapt_to_robot(source: Source, tree: Tree) -> Source:
-    """Transform a recording to the base, the force sensors and the gravity of a robot.
+    """Transform a recording to match the base, force sensors and gravity of a robot.
 
-    For a free base, measured base poses become joints. For a part of a robot between force sensors,
-    the wrench becomes the part's. Gravity torques that were subtracted, by the mapping file's key
-    torque.gravity = "removed", are added again. Else the recording is unchanged.
+    For a free base, measured base poses become joint positions. For a part of a robot between force
+    sensors, the wrench becomes the wrench on this part. If gravity torques were subtracted (key
+    torque.gravity = "removed" of the mapping file), they are added again. Otherwise, the recording
+    is returned unchanged.
 
     Args:
         source: The recording.
@@ -335,7 +337,7 @@ def adapt_to_robot(source: Source, tree: Tree) -> Source:
 
 
 def _lacks_gravity(metadata: Metadata) -> bool:
-    """True if, by the mapping file, gravity torques were subtracted from the torques."""
+    """True if gravity torques were subtracted from the torques, according to the mapping file."""
     torque = (metadata.mapping or {}).get("torque")
     return isinstance(torque, Mapping) and torque.get("gravity") == "removed"
 
@@ -343,11 +345,11 @@ def _lacks_gravity(metadata: Metadata) -> bool:
 def with_gravity_torques(recording: Recording, tree: Tree) -> Recording:
     """Add the gravity torques of the model file to the torques of a recording.
 
-    The truth, and the mapping's statement that gravity was removed, are left out.
+    The true signals are removed, and the mapping no longer states that gravity was removed.
 
     Args:
-        recording: Recording with gravity-compensated torques; its gravity, else the model's, is
-            used.
+        recording: Recording with gravity-compensated torques; its gravity is used if known,
+            otherwise that of the model.
         tree: Robot with the inertias that were used for the compensation.
     """
     ordered = recording.ordered(tree)
@@ -366,7 +368,7 @@ def with_gravity_torques(recording: Recording, tree: Tree) -> Recording:
 def transform_source(
     source: Source, transform: Callable[[Recording], Recording]
 ) -> Source:
-    """Transform a source: at once in memory, else part by part.
+    """Transform a source, at once if it is in memory, otherwise part by part.
 
     Args:
         source: The recording.

@@ -1,7 +1,8 @@
 """Files that may be copied with a model: meshes, textures and included models.
 
-A model file of foreign origin may refer to any file of the machine, by path or link. Only
-meshes, textures and model files in the package of the model, links resolved, are copied.
+A model file from an unknown source may refer to any file of the machine, by path or symbolic link.
+Only meshes, textures and model files in the package of the model, and MJCF files elsewhere, are
+copied; links are resolved before this check.
 """
 
 from __future__ import annotations
@@ -59,12 +60,12 @@ ASSET_SUFFIXES = {*MODEL_SUFFIXES, *MESH_SUFFIXES, *PICTURE_SUFFIXES}
 def copy_obstacle(file: Path, model: Path) -> str | None:
     """Reason not to copy a file with a model; None if the copy is allowed.
 
-    Allowed are regular files with a suffix of ASSET_SUFFIXES in the model's package, and MJCF files
-    anywhere.
+    Regular files with a suffix in ASSET_SUFFIXES are allowed inside the model's package; MJCF files
+    are allowed anywhere.
 
     Args:
         file: File named by the model.
-        model: Model file, links resolved.
+        model: Model file, with symbolic links resolved.
     """
     target = file.resolve()
     for ending in (file.suffix.lower(), target.suffix.lower()):
@@ -85,10 +86,11 @@ def copy_obstacle(file: Path, model: Path) -> str | None:
 def blocking_reason(file: Path) -> str | None:
     """Reason why reading a mesh file could block; None if reading is safe.
 
-    The reason is an existing material file that is no regular file, such as a pipe.
+    Reading could block if a material file named by the mesh exists but is not a regular file, for
+    example a pipe.
 
     Args:
-        file: Mesh file; only .obj files name materials.
+        file: Mesh file; only .obj files refer to material files.
     """
     if file.suffix.lower() != ".obj":
         return None
@@ -110,12 +112,13 @@ def blocking_reason(file: Path) -> str | None:
 def _is_in_package(file: Path, model: Path) -> bool:
     """Test whether a file lies below the model's folder or in its package.
 
-    The package is a folder above the file with package.xml; or the parent of the model's folder, if
-    the model's folder or the parent's subfolder with the file has a name in PACKAGE_FOLDERS.
+    The package is a folder above the file that contains package.xml. Otherwise it is the parent of
+    the model's folder, provided that PACKAGE_FOLDERS contains the name of the model's folder or of
+    the parent's subfolder that contains the file.
 
     Args:
-        file: File, links resolved.
-        model: Model file, links resolved.
+        file: File, with symbolic links resolved.
+        model: Model file, with symbolic links resolved.
     """
     home = model.parent
     if home in file.parents or any(
@@ -133,8 +136,9 @@ def _is_in_package(file: Path, model: Path) -> bool:
 def mjcf_references(path: Path) -> Iterator[tuple[Path, Path]]:
     """Yield existing files referenced by an MJCF and its includes, with their base folders.
 
-    Each file comes once, with the folder to which the name in the MJCF is relative. Tried are the
-    folders of the model and of the including file, with each meshdir, texturedir and assetdir.
+    Every file is yielded once, with the folder to which its name in the MJCF is relative. Names are
+    resolved against the folders of the model and of the including file, combined with every
+    meshdir, texturedir and assetdir.
 
     Raises:
         ModelError: A name refers to a device or a pipe, which would block readers.

@@ -15,13 +15,13 @@ from testbed.core.robot.tree import Tree
 def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
     """Torque that overcomes joint friction, with the sign of the velocity, (..., n) [N m or N].
 
-    Sum of Coulomb and viscous friction.
+    The torque is the sum of Coulomb and viscous friction.
 
     Args:
         tree: Robot with the friction coefficients.
         qd: Joint velocities, (..., n) [rad/s or m/s].
-        smooth: Speed v0 of the smoothed sign tanh(qd / v0) of Coulomb friction [rad/s or m/s]; 0
-            for the exact sign.
+        smooth: Speed v0 of the smooth function tanh(qd / v0) that replaces sign(qd) in Coulomb
+            friction [rad/s or m/s]; 0 for sign(qd) itself.
     """
     return _sum_of_laws(
         tree,
@@ -39,8 +39,8 @@ def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Arra
         tree: Robot with the friction coefficients and rotor inertias.
         qd: Joint velocities, (..., n) [rad/s or m/s].
         qdd: Joint accelerations, (..., n) [rad/s^2 or m/s^2].
-        smooth: Speed v0 of the smoothed sign tanh(qd / v0) of Coulomb friction [rad/s or m/s]; 0
-            for the exact sign.
+        smooth: Speed v0 of the smooth function tanh(qd / v0) that replaces sign(qd) in Coulomb
+            friction [rad/s or m/s]; 0 for sign(qd) itself.
     """
     return _sum_of_laws(
         tree, (law for law in JOINT_LAWS if law.parameter is not None), qd, qdd, smooth
@@ -50,6 +50,6 @@ def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Arra
 def _sum_of_laws(
     tree: Tree, laws: Iterable[JointLaw], qd: Array, qdd: Array, smooth: float
 ) -> Array:
-    """Sum over joint laws of coefficient times regressor column, (..., n) [N m or N]."""
+    """Sum of coefficient times regressor column over joint laws, (..., n) [N m or N]."""
     torques = [law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws]
     return np.asarray(np.sum(torques, axis=0))

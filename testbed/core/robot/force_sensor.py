@@ -1,8 +1,8 @@
 """Subtree beyond a six-axis force sensor between two links.
 
-The force plate is the sensor at the root. A sensor elsewhere measures the wrench on the links
-beyond its cut. They form a robot whose base is moved by the joints before the cut; these joints
-stay in the tree, without mass. Other branches are left out.
+The force plate is the sensor at the root. A sensor between two links measures the wrench on the
+links beyond this cut. The links beyond the cut form a robot whose base is moved by the joints
+before the cut; these joints remain in the tree, with massless bodies. Other branches are left out.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from testbed.core.robot.tree import SensorPlacement, Tree
 class ForceSensor(Value):
     """Six-axis force sensor between a link and the link that carries it.
 
-    It measures the wrench exerted on the links beyond the cut, about the sensor origin along the
-    sensor axes, force first.
+    The sensor measures the wrench exerted on the links beyond the cut, about the sensor origin and
+    along the sensor axes, force first.
 
     Attributes:
         link: Name of the first link beyond the cut.
@@ -61,20 +61,20 @@ def tree_beyond_sensor(
 
     Args:
         tree: Robot.
-        links: Links of the model file, carriers before what they carry.
+        links: Links of the model file, each after its carrier.
         sensor: Force sensor at the cut.
-        other_sensors: Further sensors; the links beyond those that follow `sensor` are left out, as
-            the wrench on these links is measured.
+        other_sensors: Further sensors. Links beyond the next sensors after `sensor` are left out,
+            as the wrench on these links is measured.
 
     Returns:
-        Tree with unchanged joint names and frames, without shafts. A body that is cut by the sensor
-        keeps the links beyond it, a body that is cut by a next sensor the links before it; bodies
-        before the sensor's are massless. `sensor` is the placement of the sensor, `cuts` are those
-        of the next sensors.
+        Tree with unchanged joint names and frames, without shafts. A body that the sensor cuts
+        keeps only the links beyond the sensor; a body that a next sensor cuts keeps only the links
+        before that sensor. Bodies before the sensor's body are massless. The attribute `sensor`
+        holds the placement of the sensor, `cuts` the placements of the next sensors.
 
     Raises:
         UnknownName: No link of the model file has the name.
-        ModelError: The link is the root of a robot with fixed base, whose sensor is the force
+        ModelError: The link is the root of a robot with a fixed base, whose sensor is the force
             plate; two sensors have the same link; or no joint moves the links between the sensors.
     """
     first = _sensor_link(links, sensor)
@@ -90,12 +90,12 @@ def tree_before_sensors(
 ) -> Tree:
     """Tree between the bedplate and the first force sensors.
 
-    Links beyond the sensors are left out; `cuts` are the placements of the first sensors.
+    Links beyond the sensors are left out; `cuts` holds the placements of the first sensors.
 
     Args:
         tree: Robot.
-        links: Links of the model file, carriers before what they carry.
-        other_sensors: Force sensors; those beyond another sensor have no effect.
+        links: Links of the model file, each after its carrier.
+        other_sensors: Force sensors; a sensor beyond another sensor has no effect.
 
     Raises:
         UnknownName: No link of the model file has the name.
@@ -112,12 +112,12 @@ def _segment(
 ) -> Tree:
     """Tree between a sensor, or the bedplate, and the next force sensors.
 
-    Bodies from the bedplate to the sensor's body are kept, massless but for the last; bodies that
-    are cut have the inertia of their links in the segment. Shafts are removed.
+    Bodies from the bedplate to the sensor's body are kept, but all except the last are massless. A
+    body that is cut has the inertia of its links within the segment. Shafts are removed.
 
     Args:
         tree: Robot.
-        links: Links of the model file, carriers before what they carry.
+        links: Links of the model file, each after its carrier.
         sensor: Sensor at the base of the segment; None for the bedplate.
         other_sensors: Further sensors.
 
@@ -175,7 +175,7 @@ def _placement(
     Args:
         sensor: Force sensor.
         link: Link of the sensor.
-        index: New body indices by old index.
+        index: New body indices, keyed by old index.
     """
     X_BS = link.X_BL @ sensor.X_LS
     return SensorPlacement(X_BS.p_AB_A, X_BS.R_AB, sensor.name, index[link.body])
@@ -186,12 +186,15 @@ def _segment_links(
     sensor: ForceSensor | None,
     other_sensors: Iterable[ForceSensor],
 ) -> tuple[list[ModelLink], list[tuple[ForceSensor, ModelLink]]]:
-    """Links from a sensor or the bedplate to the next sensors; next sensors with links.
+    """Links of a segment, and the force sensors at its ends with their links.
+
+    The segment extends from a sensor, or the bedplate, to the next sensors.
 
     Args:
-        links: Links of the model file, carriers before what they carry.
+        links: Links of the model file, each after its carrier.
         sensor: Sensor at the base of the segment; None for the bedplate.
-        other_sensors: Further sensors; the next ones are beyond `sensor` and no other sensor.
+        other_sensors: Further sensors; a next sensor lies beyond `sensor` and beyond no other
+            sensor.
 
     Raises:
         ModelError: Two sensors have the same link.
@@ -231,7 +234,7 @@ def _sensor_link(links: Sequence[ModelLink], sensor: ForceSensor) -> ModelLink:
 
 
 def _names_beyond(links: Sequence[ModelLink], sensor: ForceSensor | None) -> set[str]:
-    """Names of a sensor's link and all descendants; all names for None (the bedplate)."""
+    """Names of a sensor's link and its descendants; names of all links for None (the bedplate)."""
     names = (
         {link.name for link in links}
         if sensor is None

@@ -1,8 +1,9 @@
 """Free base with measured pose: six coordinates before the first body of a robot.
 
-The base is translated along the axes of the ground, then rotated about z, y and x: yaw, pitch
-and roll. The bodies between these coordinates are massless; the body after the last coordinate
-is the base. The ground takes the bedplate's place: it exerts the sum of all plates' wrenches.
+The base is translated along the axes of the ground, then rotated about z, y and x: yaw, pitch and
+roll. The bodies between these coordinates are massless; the body after the last coordinate is the
+base. The ground takes the place of the bedplate: the wrench exerted by the ground is the sum of the
+wrenches of all plates.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ N_BASE_COORDINATES = len(BASE_COORDINATES)
 """Number of base coordinates."""
 
 MAX_PITCH = np.deg2rad(80.0)
-"""Largest pitch: yaw and roll become singular at 90 degrees [rad]."""
+"""Largest accepted pitch, as yaw and roll become singular at 90 degrees [rad]."""
 
 QUATERNION_NORM_TOLERANCE = 1e-2
 """Largest deviation of a measured quaternion's length from one."""
@@ -36,7 +37,8 @@ QUATERNION_NORM_TOLERANCE = 1e-2
 def base_poses(q: Array) -> Array:
     """Base poses from base coordinates, inverse of `base_coordinates`, (M, 7) [m, 1].
 
-    Positions and quaternions (w, x, y, z) of the base frame in the ground frame, M samples.
+    A pose consists of the position and the quaternion (w, x, y, z) of the base frame in the ground
+    frame, for each of M samples.
 
     Args:
         q: Base coordinates x, y, z, yaw, pitch, roll, (M, 6) [m, rad].
@@ -53,7 +55,8 @@ def base_coordinates(base: Array) -> Array:
     Angles are unwrapped along the M samples.
 
     Args:
-        base: Positions and quaternions (w, x, y, z) of the base frame in the ground frame, (M, 7).
+        base: Positions and quaternions (w, x, y, z) of the base frame in the ground frame, (M, 7)
+            [m, 1].
 
     Raises:
         RecordingError: A quaternion's length differs from one by more than

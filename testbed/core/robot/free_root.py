@@ -13,10 +13,10 @@ from testbed.core.robot.tree import Joint, Tree
 
 
 def with_free_base(tree: Tree) -> Tree:
-    """Tree with a free root: six base coordinates come before the joints.
+    """Tree with a free base: six base coordinates precede the joints.
 
-    The pedestal becomes the body "base", moved by the last base coordinate; its frame is the
-    bedplate frame of the given tree. The first five bodies are massless.
+    The pedestal becomes the body "base", which the last base coordinate moves; the frame of this
+    body is the bedplate frame of the given tree. The first five bodies are massless.
 
     Args:
         tree: Robot with the root welded to the bedplate.

@@ -1,11 +1,11 @@
-"""Joint torque laws besides rigid-body dynamics: friction, rotor inertia, torque offsets.
+"""Joint torque laws in addition to rigid-body dynamics: friction, rotor inertia, torque offsets.
 
 A law is a regressor column, a function of joint velocity and acceleration, to be multiplied by
 a coefficient. Laws are defined here only: the kernel compiles these columns; simulation,
 prediction, units, scores and the command line use them.
 
-To add a law, write a module with a `JointLaw` in `testbed/core/robot/laws`. A law on trial need
-not be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
+To add a law, write a module with a `JointLaw` in `testbed/core/robot/laws`. A law under trial need
+not be in this folder: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _unit_column(qd: Any, qdd: Any) -> Any:
 COULOMB = JointLaw(
     "coulomb", "N m", "N", _sign_column, "coulomb", dissipative=True, discontinuous=True
 )
-"""Coulomb friction: constant size, against the motion."""
+"""Coulomb friction: constant magnitude, opposed to the motion."""
 
 VISCOUS = JointLaw(
     "viscous", "N m s/rad", "N s/m", _velocity_column, "viscous", dissipative=True
@@ -61,24 +61,24 @@ ROTOR = JointLaw("rotor", "kg m^2", "kg", lambda qd, qdd: qdd, "rotor_inertia")
 """Rotor inertia of the drive, reflected to the joint."""
 
 FORWARD_CONSTANT = JointLaw("coulomb+offset", "N m", "N", _unit_column)
-"""Sum of Coulomb friction and offset, of a joint that only moves forward: not separable."""
+"""Sum of Coulomb friction and offset, which are inseparable for a joint that only moves forward."""
 
 BACKWARD_CONSTANT = JointLaw("offset-coulomb", "N m", "N", _unit_column)
-"""Offset minus Coulomb friction, of a joint that only moves backward: not separable."""
+"""Difference of offset and Coulomb friction, inseparable for a joint that only moves backward."""
 
 CONSTANT_LAWS = (OFFSET, FORWARD_CONSTANT, BACKWARD_CONSTANT)
 """Laws with a constant regressor column."""
 
 OFFSET_DRIFT = JointLaw("slope", "N m/s", "N/s", _unit_column, by="time")
-"""Linear drift of the offset during one recording, as of a drive that warms up."""
+"""Linear drift of the offset during one recording, for example while a drive warms up."""
 
 ROOM_TEMPERATURE = 25.0
-"""Reference temperature, of friction laws without temperature dependence [degC]."""
+"""Reference temperature to which friction laws without temperature dependence refer [degC]."""
 
 WARM_VISCOUS = JointLaw(
     "warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity_column, by="temperature"
 )
-"""Change of viscous friction with the drive's temperature above ROOM_TEMPERATURE."""
+"""Change of viscous friction in proportion to the drive temperature above ROOM_TEMPERATURE."""
 
 DRIFT_LAWS = (
     OFFSET_DRIFT,
@@ -93,21 +93,21 @@ DRIFT_LAWS = (
     ),
     WARM_VISCOUS,
 )
-"""Laws that depend on time or temperature besides the motion."""
+"""Laws that depend on time or temperature in addition to the motion."""
 
 LOAD_MULTIPLIERS: Mapping[str, Callable[[Array, Array], Array]] = {
     "load": lambda load, smooth: load * np.sign(smooth),
     "signed load": lambda load, smooth: load,
     "squared load": lambda load, smooth: load * smooth,
 }
-"""Multipliers of the load-dependent laws' columns, by `JointLaw.by`.
+"""Multipliers of the columns of load-dependent laws, keyed by `JointLaw.by`.
 
-The load is the torque that moves the link [N m or N], known from the estimate of the force
-plate only. Arguments are the load and its short-time mean: with noisy encoders, abs(load) has a
-mean other than zero where the load is zero."""
+The load is the torque that moves the link [N m or N]; only the force-plate estimate provides it.
+The arguments are the load and its short-time mean. The sign is taken from the short-time mean,
+because with noisy encoders the mean of abs(load) is not zero where the load is zero."""
 
 LOAD_FRICTION = JointLaw("load", "1", "1", _sign_column, discontinuous=True, by="load")
-"""Coulomb friction proportional to the load: share of the load lost in the gear."""
+"""Coulomb friction proportional to the load: fraction of the load lost in the gear."""
 
 QUADRATIC_LOAD_FRICTION = JointLaw(
     "quadratic_load",
@@ -136,7 +136,7 @@ load - sign(v) abs(load), is collinear with the error of the torque constant."""
 
 
 def _additional_laws() -> Iterator[JointLaw]:
-    """Yield the laws defined in the modules of `testbed/core/robot/laws`, by module name."""
+    """Yield the laws defined in modules of `testbed/core/robot/laws`, ordered by module name."""
     for module in sorted(
         iter_modules(laws.__path__, f"{laws.__name__}."), key=attrgetter("name")
     ):
@@ -145,10 +145,10 @@ def _additional_laws() -> Iterator[JointLaw]:
 
 
 ADDITIONAL_LAWS: tuple[JointLaw, ...] = tuple(_additional_laws())
-"""Laws of `testbed/core/robot/laws`, all candidates of a choice by cross-validation."""
+"""Laws of `testbed/core/robot/laws`; all are candidates for selection by cross-validation."""
 
 JOINT_LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR, *ADDITIONAL_LAWS)
-"""Laws selectable by name, besides stribeck@SPEED and the laws of one-way joints."""
+"""Laws selectable by name, in addition to stribeck@SPEED and the laws of one-way joints."""
 
 STRIBECK_KIND = "stribeck"
 """Kind of the Stribeck laws, without @SPEED."""
@@ -164,7 +164,7 @@ def stribeck_law(speed: float) -> JointLaw:
     The name of the law is stribeck@SPEED.
 
     Args:
-        speed: Stribeck speed, at which the friction has fallen to 1/e [rad/s or m/s].
+        speed: Stribeck speed, at which the additional friction has fallen to 1/e [rad/s or m/s].
     """
 
     def column(qd: Any, qdd: Any) -> Any:
@@ -176,7 +176,7 @@ def stribeck_law(speed: float) -> JointLaw:
 
 
 def stribeck_decay(qd: Any, speed: Any) -> Any:
-    """Stribeck decay factor exp(-(v / speed)^2): remaining share of the friction at rest.
+    """Stribeck decay factor exp(-(v / speed)^2): ratio of the additional friction to that at rest.
 
     Args:
         qd: Velocity v [rad/s or m/s].
@@ -207,7 +207,10 @@ class JointTerm:
         return f"{self.law.kind}/{joint_and_shaft_names(tree)[self.joint]}"
 
     def unit(self, tree: Tree) -> str:
-        """Unit of the coefficient, by the kind of the joint or of the shaft's joints."""
+        """Unit of the coefficient for a revolute or prismatic joint.
+
+        The kind of a shaft is that of its joints.
+        """
         shaft = self.joint - tree.n
         joint = self.joint if shaft < 0 else tree.shafts[shaft].turns[0][0]
         return self.law.unit(tree.joints[joint])
@@ -216,14 +219,14 @@ class JointTerm:
 def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm, ...]:
     """Joint terms of the given laws, without duplicates.
 
-    Laws are in the order of their first mention, the terms of a law in that of
+    Laws are in the order of their first mention, and the terms of a law are in the order of
     `joint_and_shaft_names`.
 
     Args:
         tree: Robot.
-        words: Laws by name or as values, for every joint and shaft; "rotor/elbow" for one joint or
-            shaft. Without a place, constant laws and laws with a `by` apply to joints only: the
-            offset of a shaft is collinear with the offsets of two joints.
+        words: Laws, as `JointLaw` or by name: "rotor" for all joints and shafts, "rotor/elbow" for
+            a single joint or shaft. Constant laws and laws with a `by` apply to joints only, unless
+            a shaft is named: the offset of a shaft is collinear with the offsets of its joints.
 
     Raises:
         UnknownName: No law, joint or shaft has the name.
@@ -261,10 +264,10 @@ def law_of_term(word: str | JointLaw) -> JointLaw:
 
 
 def joint_law(kind: str) -> JointLaw:
-    """Joint law by name: in JOINT_LAWS, CONSTANT_LAWS, DRIFT_LAWS, LOAD_LAWS, or stribeck@SPEED.
+    """Joint law named in JOINT_LAWS, CONSTANT_LAWS, DRIFT_LAWS or LOAD_LAWS, or stribeck@SPEED.
 
     Raises:
-        UnknownName: No law has the name, or SPEED is not within MIN_STRIBECK_SPEED and
+        UnknownName: No law has the name, or SPEED is not between MIN_STRIBECK_SPEED and
             MAX_STRIBECK_SPEED.
     """
     known = {
@@ -295,8 +298,8 @@ def term_torque(
         term: Law at a joint or a shaft.
         qd: Joint velocities, (M, n) [rad/s or m/s].
         qdd: Joint accelerations, (M, n) [rad/s^2 or m/s^2].
-        multiplier: Multiplier of the column, (M,): the signal `JointLaw.by`; not used for a law
-            without `by`.
+        multiplier: Signal named by `JointLaw.by`, which multiplies the column, (M,); not used for a
+            law without `by`.
     """
     ratios = transmission_matrix(tree)[term.joint]
     column = term.law.columns(qd @ ratios, qdd @ ratios)

@@ -19,14 +19,14 @@ GRAVITY_BY_MOUNTING = {
     "wall -y": [0.0, -DEFAULT_GRAVITY, 0.0],
     "none": [0.0, 0.0, 0.0],
 }
-"""Gravity vectors [m/s^2] by name of the mounting; for a wall, the axis along which gravity
-points."""
+"""Gravity vectors [m/s^2], keyed by mounting; a wall mounting is named after the axis along which
+gravity points."""
 
 
 def parse_gravity(value: Any) -> Any:
-    """Gravity vector of a text: three numbers [m/s^2] or a key of `GRAVITY_BY_MOUNTING`.
+    """Gravity vector from a text: three numbers [m/s^2] or a key of `GRAVITY_BY_MOUNTING`.
 
-    Values that are no text are returned unchanged.
+    Values other than texts are returned unchanged.
 
     Args:
         value: Text of a file or option, numbers separated by blanks or commas; or a vector.
@@ -50,7 +50,7 @@ def parse_gravity(value: Any) -> Any:
 def mounting_name(gravity: Sequence[float]) -> str | list[float]:
     """Name of the mounting for a gravity vector; three numbers if no name fits.
 
-    A name of `GRAVITY_BY_MOUNTING` fits if its vector is exactly equal.
+    A name fits if its vector in `GRAVITY_BY_MOUNTING` equals the given vector exactly.
 
     Args:
         gravity: Gravity vector, (3,) [m/s^2].

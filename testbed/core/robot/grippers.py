@@ -8,7 +8,7 @@ from testbed.core.robot.tree import Tree
 
 
 def finger_joints(tree: Tree, followed: Collection[str]) -> list[int]:
-    """Indices of gripper finger joints: masters of mimic joints, without child joints.
+    """Indices of gripper finger joints: masters of mimic joints that have no child joints.
 
     Args:
         tree: Robot.

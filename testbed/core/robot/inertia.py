@@ -1,7 +1,7 @@
 """Inertial parameters of a rigid body: mass, first moment, inertia tensor, pseudo-inertia.
 
-Stored about the body frame's origin, where every wrench is linear in the parameters; model
-files state them about the mass centre, hence the conversions.
+Parameters are stored about the origin of the body frame, because wrenches are linear in these
+parameters. Model files state inertias about the mass centre, hence the conversions.
 """
 
 from __future__ import annotations
@@ -23,13 +23,15 @@ MAX_INERTIAL_PARAMETER = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Inertia(Value):
-    """Mass, first moment and inertia tensor of a rigid body, about and along its frame.
+    """Mass, first moment and inertia tensor of a rigid body, relative to its frame.
+
+    Moments are taken about the origin of the frame, in components along the axes of the frame.
 
     Attributes:
         mass: Mass [kg].
-        first_moment: Mass times mass centre, (3,) [kg m].
-        tensor: Inertia about the frame's origin, (3, 3), symmetric [kg m^2]; products of
-            inertia carry their minus sign, I_yz = -integral y z dm.
+        first_moment: Product of mass and mass centre, (3,) [kg m].
+        tensor: Symmetric inertia tensor, (3, 3) [kg m^2]; the off-diagonal entries are negative
+            products of inertia, for example I_yz = -integral(y z dm).
     """
 
     mass: float
@@ -47,7 +49,7 @@ class Inertia(Value):
         Args:
             mass: Mass [kg].
             com: Mass centre in the body frame, (3,) [m].
-            central: Inertia about the mass centre along the body frame, (3, 3) [kg m^2].
+            central: Inertia about the mass centre, along the body axes, (3, 3) [kg m^2].
         """
         c = np.asarray(com, dtype=np.float64)
         return Inertia(mass, mass * c, np.asarray(central) - mass * skew(c) @ skew(c))
@@ -62,7 +64,7 @@ class Inertia(Value):
     def radius(self) -> float:
         """Radius of gyration about the frame's origin [m]; zero for a massless body.
 
-        Square root of the trace of the second-moment matrix over the mass.
+        The radius is sqrt(trace(S) / mass), where S is the matrix of second moments (see `pseudo`).
         """
         return (
             math.sqrt(max(np.trace(self.tensor) / 2 / self.mass, 0.0))
@@ -72,7 +74,7 @@ class Inertia(Value):
 
     @cached_property
     def central(self) -> Array:
-        """Inertia tensor about the mass centre along the body frame, (3, 3) [kg m^2]."""
+        """Inertia tensor about the mass centre, along the body axes, (3, 3) [kg m^2]."""
         lever = skew(self.com)
         return readonly_array(
             self.tensor + self.mass * lever @ lever, (3, 3), "central"
@@ -80,7 +82,7 @@ class Inertia(Value):
 
     @property
     def within_limits(self) -> bool:
-        """True if all parameters are numbers of magnitude at most MAX_INERTIAL_PARAMETER."""
+        """True if all parameters are numbers with magnitudes of at most MAX_INERTIAL_PARAMETER."""
         ten = np.concatenate([[self.mass], self.first_moment, self.tensor.ravel()])
         return bool((np.abs(ten) <= MAX_INERTIAL_PARAMETER).all())  # NaN fails too
 
@@ -88,8 +90,9 @@ class Inertia(Value):
     def pseudo(self) -> Array:
         """Pseudo-inertia matrix [[S, h], [h', m]] about the frame's origin, (4, 4).
 
-        S are the second moments, integral r r' dm [kg m^2], h the first moments [kg m], m the mass
-        [kg]. [WKS18]: positive semidefinite if and only if the body is physically consistent.
+        S is the matrix of second moments, integral(r r' dm) [kg m^2], h is the first moment [kg m],
+        and m is the mass [kg]. The matrix is positive semidefinite if and only if the body is
+        physically consistent [WKS18].
         """
         matrix = np.empty((4, 4))
         matrix[:3, :3] = np.trace(self.tensor) / 2 * np.eye(3) - self.tensor
@@ -99,14 +102,14 @@ class Inertia(Value):
 
     @staticmethod
     def of_pseudo(matrix: Array) -> Inertia:
-        """Build an inertia from a pseudo-inertia matrix, (4, 4), as of `pseudo`."""
+        """Build an inertia from a pseudo-inertia matrix as defined in `pseudo`, (4, 4)."""
         second = matrix[:3, :3]
         return Inertia(
             matrix[3, 3], matrix[:3, 3], np.trace(second) * np.eye(3) - second
         )
 
     def transformed(self, X_AB: Transform) -> Inertia:
-        """Inertia about and along frame A of a body given in frame B.
+        """Inertia relative to frame A of a body that is given in frame B.
 
         Args:
             X_AB: Pose of body frame B in A.
@@ -119,7 +122,7 @@ class Inertia(Value):
         return Inertia(self.mass, h + self.mass * position, rotated_tensor - shift)
 
     def __add__(self, other: Inertia) -> Inertia:
-        """Inertia of two bodies welded together, both about the same frame."""
+        """Inertia of two bodies welded together, both relative to the same frame."""
         return Inertia(
             self.mass + other.mass,
             self.first_moment + other.first_moment,
@@ -132,9 +135,10 @@ ZERO_INERTIA = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 def upper_cholesky_factor(matrix: Array) -> Array:
-    """Upper triangular Cholesky factor U of a pseudo-inertia, equal to U U', (4, 4).
+    """Upper triangular Cholesky factor U of a pseudo-inertia matrix P = U U', (4, 4).
 
-    U is the square root of the mass times a homogeneous affine map with last row (0, 0, 0, 1).
+    U is the product of sqrt(mass) and the matrix of an affine map in homogeneous coordinates, with
+    last row (0, 0, 0, 1).
 
     Args:
         matrix: Pseudo-inertia, (4, 4), positive definite.

@@ -18,19 +18,21 @@ class JointLaw:
     """Term of the joint torques: a regressor column times one coefficient per joint.
 
     Attributes:
-        kind: Name of the law; estimates call the coefficients `kind/JOINT`.
+        kind: Name of the law; the coefficients are named `kind/JOINT` in estimates.
         revolute_unit: Unit of the coefficient at a revolute joint.
         prismatic_unit: Unit of the coefficient at a prismatic joint.
-        column: Regressor column as a function of velocity and acceleration [rad/s or m/s,
-            rad/s^2 or m/s^2], element by element. Columns of JOINT_LAWS are also compiled for
-            single numbers: arithmetic and NumPy functions only.
-        parameter: Field of `Joint` with the model file's coefficient; None if model files have
-            none.
-        dissipative: True for dissipative laws such as friction: the coefficient cannot be negative.
+        column: Regressor column as a function of velocity and acceleration [rad/s or m/s, rad/s^2
+            or m/s^2], evaluated element by element. Columns of JOINT_LAWS are also compiled for
+            scalars, and may therefore use only arithmetic and NumPy functions.
+        parameter: Field of `Joint` that holds the coefficient of the model file; None if model
+            files do not state the coefficient.
+        dissipative: True for a dissipative law such as friction, whose coefficient cannot be
+            negative.
         discontinuous: True if the column is discontinuous where the velocity changes sign.
-        by: Signal of the recording that multiplies the column, per joint: "time" since the
-            middle of the recording [s], "temperature" above 25 degC [K] or a key of
-            LOAD_MULTIPLIERS; "" for no multiplier. Applied to joints only, not to shafts.
+        by: Signal of each joint in the recording by which the column is multiplied: "time" since
+            the middle of the recording [s], "temperature" above 25 degC [K] or a key of
+            LOAD_MULTIPLIERS; "" for no multiplier. A law with a multiplier applies to joints only,
+            not to shafts.
     """
 
     kind: str

@@ -1,8 +1,8 @@
-"""Locking of joints at fixed positions, and positions of the mimic joints that follow.
+"""Locking of joints at fixed positions, and the resulting positions of mimic joints.
 
-A tree has one degree of freedom per joint. A mimic joint (URDF's <mimic>, MJCF's equality
-between joints) follows a master joint and has no degree of freedom: it can be part of a tree
-only if it is locked or its master is.
+A tree has one degree of freedom per joint. A mimic joint (URDF's <mimic>, MJCF's equality between
+joints) follows a master joint and has no degree of freedom: a tree can contain the joint only if
+the mimic joint or its master is locked.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from testbed.core.robot.parsing import parse_decimals
 from testbed.core.robot.refusals import MimicError
 
 JointLocks: TypeAlias = Mapping[str, float | None]
-"""Positions of locked joints by name [rad or m]; None for the rest position of the joint."""
+"""Positions of locked joints, keyed by name [rad or m]; None for the rest position of the joint."""
 
 _RANGE_TOLERANCE = 1e-6
-"""Largest overshoot of the joint range by a locked position: limits are rounded in files [rad or
-m]."""
+"""Largest accepted excess of a locked position over the joint range, as files round limits
+[rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ class MimicCoupling:
 
     Attributes:
         master: Name of the master joint; None for a constant position.
-        coefficients: Coefficients of the powers 0, 1, 2, ... of the master's position [rad, m].
+        coefficients: Coefficients of the powers 0, 1, 2, ... of the master's position, for
+            positions in rad or m.
     """
 
     master: str | None
@@ -61,14 +62,15 @@ class JointTravel:
 
     @property
     def master(self) -> str | None:
-        """Name of the master joint; None without a coupling or for a constant position."""
+        """Name of the master joint; None for no coupling or a constant position."""
         return self.coupling.master if self.coupling else None
 
     @property
     def rest_position(self) -> float:
         """Rest position of the joint [rad or m].
 
-        Zero if within the range, else the middle of the range, or its only finite limit.
+        The rest position is zero if the range contains zero. Otherwise it is the middle of the
+        range or, if only one limit is finite, this limit.
         """
         if self.low <= 0 <= self.high:
             return 0.0
@@ -82,15 +84,15 @@ def parse_lock(
 ) -> dict[str, float | None]:
     """Parse lock options: JOINT, JOINT=q, a name pattern, or !pattern for all other joints.
 
-    A pattern may be followed by =q. Names without wildcard are not checked.
+    A pattern may be followed by =q. Names without wildcards are not checked against the model file.
 
     Args:
         texts: Words of the command line.
-        names: Function that returns the joint names of the model file, to match patterns; called
-            for patterns only.
+        names: Function that returns the joint names of the model file; called only if a pattern has
+            to be matched.
 
     Returns:
-        Positions by joint name [rad or m], None where the option states no position.
+        Positions keyed by joint name [rad or m]; None for an option without a position.
 
     Raises:
         ModelError: A name is empty, a position is not a number, a pattern matches no joint or all
@@ -128,19 +130,20 @@ def lock_positions(
     """Positions of locked joints and of mimic joints with a locked master.
 
     Args:
-        joints: Range and coupling of every moving joint of the file, by name.
-        lock: Joints to be locked, with positions. None takes the position that the coupling
-            implies from the master's lock or rest position; without coupling, the rest position.
+        joints: Range and coupling of every moving joint of the file, keyed by name.
+        lock: Positions of the joints to be locked, keyed by name [rad or m]. None stands for the
+            position that the coupling implies from the position of the master, or for the rest
+            position of a joint without coupling.
         source: File name, for messages.
 
     Returns:
-        Positions by name [rad or m], masters before mimic joints; and diagnostics of locked mimic
-        joints whose master moves or implies another position.
+        Positions keyed by name [rad or m], masters before mimic joints; and diagnostics of locked
+        mimic joints whose master moves or implies another position.
 
     Raises:
         UnknownName: A joint to be locked is not in the file.
         MimicError: A mimic joint and its master are both not locked.
-        ModelError: A position is no number or out of range, or couplings form a cycle.
+        ModelError: A position is not a number or out of range, or couplings form a cycle.
     """
     for name in lock:
         if name not in joints:
@@ -184,11 +187,11 @@ def _follower_diagnostics(
 ) -> Iterator[Diagnostic]:
     """Diagnostics of locked mimic joints whose master moves or implies another position.
 
-    Another position is one that differs by more than _RANGE_TOLERANCE.
+    Positions count as different if they differ by more than _RANGE_TOLERANCE.
 
     Args:
-        joints: Range and coupling of every moving joint of the file, by name.
-        locked: Positions of locked joints by name [rad or m].
+        joints: Range and coupling of every moving joint of the file, keyed by name.
+        locked: Positions of locked joints, keyed by name [rad or m].
     """
     for name, position in locked.items():
         coupling, master = joints[name].coupling, joints[name].master
@@ -213,8 +216,8 @@ def _checked_position(
 
     Args:
         name: Joint name, for messages.
-        value: Position as given [rad or m].
-        joint: Range of the joint, which may be exceeded by _RANGE_TOLERANCE.
+        value: Given position [rad or m].
+        joint: Joint, whose range may be exceeded by up to _RANGE_TOLERANCE.
         source: File name, for messages.
 
     Raises:

@@ -1,6 +1,7 @@
 """Model files in MJCF or URDF: reading as a tree, referenced files, copies.
 
-Tree, simulated plant and pictures read model files in the same way, with the same checks.
+The tree, the simulated plant and pictures are built from model files that are read in the same way
+and with the same checks.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ if TYPE_CHECKING:
     from testbed.core.robot.formats.urdf import UrdfModel
 
 MAX_JOINTS = 1_000
-"""Largest number of joints: matrices of a robot grow with its square."""
+"""Largest number of joints, as the size of a robot's matrices grows with its square."""
 
 
 @dataclass(frozen=True)
 class ModelFile(ModelSource):
-    """MJCF or URDF file of a robot, with options of reading."""
+    """MJCF or URDF file of a robot, with options for reading."""
 
     def read(self) -> MjcfModel | UrdfModel:
-        """Read the file with the reader of its format.
+        """Read the file with the reader for its format.
 
         Raises:
             ModelError: The file cannot be read or holds unsupported elements.
@@ -85,7 +86,7 @@ def model_file_of(tree: Tree) -> ModelFile:
 
 
 def model_format(path: Path) -> Literal["mjcf", "urdf"]:
-    """Format of a model file, by the root element: "mjcf" for <mujoco>, "urdf" for <robot>.
+    """Format of a model file from its root element: "mjcf" for <mujoco>, "urdf" for <robot>.
 
     Raises:
         ModelError: The file is missing, not XML, or neither MJCF nor URDF.
@@ -112,27 +113,28 @@ def load_tree(
 ) -> Tree:
     """Read a robot from an MJCF or URDF file.
 
-    Joints are revolute or prismatic; fixed joints are merged. Meshes do not matter, unless
-    an MJCF body takes its inertia from a mesh. Rounded right angles are made exact
-    (`with_right_angles`); the tree's `diagnostics` name all accepted faults.
+    Joints are revolute or prismatic; fixed joints are merged. Meshes have no effect, unless an MJCF
+    body takes its inertia from a mesh. Rounded right angles are made exact (`with_right_angles`);
+    the tree's `diagnostics` list all accepted faults.
 
     Args:
-        path: Model file; or name of a file that testbed ships, as "puma562.xml".
+        path: Model file; or name of a file shipped with testbed, such as "puma562.xml".
         weld_root: True to weld a floating root to the bedplate instead of raising an error.
-        repair: Replacements of physically inconsistent inertias (links fixed to each other are one
-            body), such as `nearest_consistent_bodies(path).bodies`; {} raises an error for such a
-            file. None takes the nearest consistent inertias and names them in the tree's
-            `diagnostics`.
-        lock: Positions of locked joints, by name [rad or m]; their bodies become part of the
-            carrying bodies. None is the rest position: zero, the middle of a range without zero,
-            or the position that the master joint implies. Mimic joints of a locked master are
-            locked with it.
-        sensor: Force sensor in the robot: the tree then consists of the links beyond it and of the
-            joints that lead there.
+        repair: Replacements for physically inconsistent inertias of bodies (links fixed to each
+            other form one body), such as `nearest_consistent_bodies(path).bodies`; {} raises an
+            error for inconsistent inertias. None selects the nearest consistent inertias, and lists
+            the bodies in the tree's `diagnostics`.
+        lock: Positions of locked joints, keyed by name [rad or m]; the bodies of locked joints
+            become part of the carrying bodies. None stands for the rest position: zero, the middle
+            of a range without zero, or the position that the master joint implies. A mimic joint is
+            locked together with its master.
+        sensor: Force sensor in the robot; the tree then consists of the links beyond the sensor and
+            of the joints that lead to the sensor.
 
     Raises:
-        ModelError: The file cannot be read or holds unsupported elements; subclasses FreeRootError,
-            InertiaError, MimicError for a floating root, inconsistent inertias, mimic joints.
+        ModelError: The file cannot be read or contains unsupported elements. The subclasses
+            FreeRootError, InertiaError and MimicError stand for a floating root, inconsistent
+            inertias and mimic joints that are not locked.
         UnknownName: A joint to be locked, or the sensor's link, is not in the file.
     """
     file = ModelFile(user_or_shipped_file(path), weld_root, repair, lock or {})
@@ -157,7 +159,7 @@ def nearest_consistent_bodies(
 ) -> Repair:
     """Physically inconsistent bodies of a model file, with the nearest consistent inertias.
 
-    Bodies with rounding errors alone are not among `Repair.bodies`: they are always repaired.
+    `Repair.bodies` omits bodies with rounding errors only, which are always repaired.
 
     Arguments and errors are those of `load_tree`.
     """
@@ -178,17 +180,18 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
 
 
 def readable_model(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
-    """Read a model file, with root welded and joints locked as a tree requires.
+    """Read a model file, with root welded and joints locked where a tree requires it.
 
     A floating root is welded, all mimic joints are locked at the positions that their masters
-    imply, and the joints of a kinematic loop at their rest positions. Locks in `file` come first.
+    imply, and the joints of a kinematic loop at their rest positions. Locks given in `file` take
+    precedence.
 
     Args:
-        file: Model file with options of reading.
+        file: Model file with options for reading.
 
     Returns:
-        File with changed options, its tree, and names of the master joints of mimic joints (empty
-        if no mimic joint had to be locked).
+        Model file with changed options, the tree, and the names of the master joints of mimic
+        joints (empty if no mimic joint had to be locked).
 
     Raises:
         ModelError: The file cannot be read, or holds unsupported elements.
@@ -222,7 +225,7 @@ def joint_names(path: str | Path) -> tuple[str, ...]:
 
 
 def _travels(path: Path) -> Mapping[str, JointTravel]:
-    """Range and coupling of every moving joint by name; without ranges for MJCF."""
+    """Range and coupling of every moving joint, keyed by name; no ranges for MJCF."""
     if model_format(path) == "mjcf":
         from testbed.core.robot.formats.mjcf_spec import mjcf_joint_travels
 
@@ -264,7 +267,7 @@ def check_tree(tree: Tree) -> None:
 
 
 def copy_model(path: Path, folder: Path) -> Path:
-    """Copy a model file with the files that it refers to.
+    """Copy a model file together with the files to which it refers.
 
     Relative positions of the files are kept, so that references stay valid. Missing files and files
     with a `copy_obstacle` are left out.
@@ -294,7 +297,7 @@ def copy_model(path: Path, folder: Path) -> Path:
 
 
 def referenced_files(path: Path) -> dict[Path, Path]:
-    """Files to copy with a model, and the folders to which names are relative.
+    """Files to be copied with a model, with the base folders of their names.
 
     Files with a `copy_obstacle` are left out.
 
@@ -325,10 +328,11 @@ def _urdf_meshes(path: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def find_mesh(name: str, model: Path) -> tuple[Path, Path] | None:
-    """Base folder of a URDF's mesh name, and the mesh file; None if missing.
+    """Base folder and file of a mesh named in a URDF; None if missing.
 
-    A name package://PACKAGE/... is resolved below all folders above the model, nearest first, with
-    and then without the package's name; any other name below the model's folder.
+    A name package://PACKAGE/... is resolved relative to the folders above the model, nearest first,
+    with the package name and then without it. Any other name is resolved relative to the model's
+    folder.
 
     Args:
         name: Name in the model file.

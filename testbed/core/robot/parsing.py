@@ -1,7 +1,7 @@
 """Reading of XML model files within limits, number formats, and capture of standard error.
 
-Parsers in C recurse over elements and print names. Files that would make a parser crash or
-disturb a terminal are rejected before: too large, too deeply nested, or with malformed names.
+C parsers recurse over elements and print names. Files that are too large or too deeply nested could
+crash a parser, and malformed names could disturb a terminal; these files are rejected first.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ MAX_ELEMENTS = 200_000
 MAX_ELEMENT_DEPTH = 450
 """Largest nesting depth of XML elements; MuJoCo's own parser stops at 500."""
 MAX_ATTRIBUTES = 500
-"""Largest number of attributes of an element; parsers compare each with all others."""
+"""Largest number of attributes of an element; parsers compare every attribute with all others."""
 MAX_NAME_LENGTH = 200
 """Largest number of characters of a name."""
 MAX_NUMBER_LENGTH = 400
-"""Largest number of characters of a number: Python takes quadratic time over digits."""
+"""Largest number of characters of a number, as Python's conversion takes quadratic time."""
 _DECIMAL_PATTERN = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NAME_ATTRIBUTES = {
     "name",
@@ -51,7 +51,7 @@ _NAME_ATTRIBUTES = {
     "mesh",
     "material",
 }
-"""Attributes that hold names, which appear in columns, files and messages."""
+"""Attributes that hold names; names appear in column headings, files and messages."""
 _CONTROL_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode categories of control, format (bidirectional too), surrogate and separator characters."""
 
@@ -59,7 +59,8 @@ _CONTROL_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
 def read_xml(path: Path) -> ET.Element:
     """Read an XML model file within the size limits and return the root element.
 
-    Limits are those of file size, of number and depth of elements, of attributes, and of names.
+    The limits apply to the file size, the number and nesting depth of elements, the number of
+    attributes per element, and the length of names.
 
     Raises:
         ModelError: The file does not exist, is not XML, exceeds a limit, or holds malformed names;
@@ -92,7 +93,10 @@ def read_xml(path: Path) -> ET.Element:
 
 
 def _parse_xml(path: Path) -> ET.Element:
-    """Parse XML without namespaces and return the root: robot files may use undeclared prefixes."""
+    """Parse XML without namespace processing and return the root element.
+
+    Robot files may use undeclared namespace prefixes.
+    """
     parser, builder = ParserCreate(), _LimitedTreeBuilder()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     with path.open("rb") as file:
@@ -104,7 +108,7 @@ def _parse_xml(path: Path) -> ET.Element:
 def prefix_model_errors(path: Path) -> Iterator[None]:
     """Prefix the messages of `ModelError` raised within a context with the file path.
 
-    Subclasses of `ModelError` already contain the file name and pass unchanged.
+    Messages of subclasses of `ModelError` already contain the file name, and are left unchanged.
     """
     try:
         yield
@@ -171,10 +175,10 @@ class _LimitedTreeBuilder(ET.TreeBuilder):
 
 
 def parse_decimals(text: str, count: int) -> list[float] | None:
-    """Parse a fixed number of finite decimal numbers; None for any other text.
+    """Parse a given count of finite decimal numbers; return None for any other text.
 
-    Model files and options share this grammar. Parsers differ in what they accept: Python takes
-    "1_0" and "nan", urdfdom drops a mass of "3 " without a message.
+    Model files and options share this grammar. Parsers differ in what they accept: Python accepts
+    "1_0" and "nan", and urdfdom ignores a mass of "3 " without a message.
 
     Args:
         text: Numbers separated by blanks.
@@ -198,7 +202,8 @@ def format_numbers(values: Iterable[float]) -> str:
 def capture_stderr() -> Iterator[Callable[[], str]]:
     """Capture standard error of C++ code; yield a function that returns the captured text.
 
-    Output of Python code, such as another thread's progress, goes to the original standard error.
+    Output of Python code, for example progress messages of another thread, is written to the
+    original standard error.
     """
     python_stderr = sys.stderr
     python_stderr.flush()

@@ -1,7 +1,7 @@
 """Detection of placeholder inertias and friction in model files.
 
-Placeholders are numbers without measurement or CAD data behind: round, equal for all links, or
-of implausible size.
+Placeholders are numbers that do not come from measurements or CAD data: round numbers, numbers that
+are equal for all links, or numbers of implausible magnitude.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Joint, Tree
 
 MIN_DENSITY, MAX_DENSITY = 10.0, 3e4
-"""Range of plausible densities, of the box with a link's mass and inertia [kg/m^3]."""
+"""Range of plausible densities of the box that has a link's mass and inertia [kg/m^3]."""
 
 MIN_LENGTH, MAX_RADIUS_RATIO = 0.1, 0.3
-"""Least length of a link [m]; least implausible radius of gyration in parts of the longest link."""
+"""Smallest assumed length of a link [m]; largest plausible ratio of a radius of gyration to the
+length of the longest link."""
 
 RELATIVE_ROUNDING = 1e-6
-"""Relative difference between numbers that is rounding."""
+"""Relative difference between numbers that is attributed to rounding."""
 
 MIN_COUNT = 3
-"""Smallest number of links or joints with one value that counts as evidence."""
+"""Smallest number of links or joints whose equal values are evidence of a placeholder."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,10 @@ class Placeholders:
     """Placeholder inertias and friction of a model file, with reasons.
 
     Attributes:
-        links: Reasons by link, for links with placeholder inertias.
-        friction: Reasons by kind of friction, "coulomb" or "viscous".
-        bodies: Indices of the tree's bodies with more than 10 % of their mass in such links.
+        links: Reasons for links with placeholder inertias, keyed by link.
+        friction: Reasons keyed by kind of friction, "coulomb" or "viscous".
+        bodies: Indices of the tree's bodies with more than 10 % of their mass in links with
+            placeholder inertias.
     """
 
     links: Mapping[str, str]
@@ -49,7 +51,7 @@ class Placeholders:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostic of all placeholder inertias, and of placeholder friction, if any."""
+        """Diagnostics of placeholder inertias and of placeholder friction, if there are any."""
         links = [f"'{name}' ({reason})" for name, reason in self.links.items()]
         diagnostics = (
             [make_diagnostic("model.placeholder", shortened_list(links))]
@@ -69,14 +71,14 @@ NO_PLACEHOLDERS = Placeholders({}, {})
 
 
 def find_placeholders(tree: Tree) -> Placeholders:
-    """Find placeholder inertias and friction of a robot by form and size of the numbers.
+    """Find placeholder inertias and friction of a robot by the form and size of numbers.
 
-    An inertia is a placeholder if MIN_COUNT or more links, not all on one carrier, have the same
-    mass and moments, or for the reasons of `_reason`. Links below 0.1 % of the robot's mass are
-    ignored.
+    All inertias are placeholders if the robot has MIN_COUNT or more links, not all on one carrier,
+    and all links have the same mass and moments. Otherwise the criteria of `_reason` apply to every
+    inertia. Links with less than 0.1 % of the robot's mass are ignored.
 
     Args:
-        tree: Robot; without a model file its bodies are its links.
+        tree: Robot; the bodies of a robot without a model file are used as links.
     """
     # least mass of a link, in parts of the robot's mass, for which the inertia matters
     min_mass = 1e-3 * sum(body.mass for body in tree.inertias)
@@ -115,7 +117,7 @@ class _Link(NamedTuple):
 
 
 def _links(tree: Tree) -> list[_Link]:
-    """Moving links of the model file, or the tree's bodies without a file."""
+    """Moving links of the model file; bodies of a tree without a file."""
     if isinstance(tree.file, ModelFile):
         links = (_Link(x.name, x.body, x.inertia) for x in tree.file.links())
         return [link for link in links if link.body >= 0]
@@ -126,8 +128,8 @@ def _links(tree: Tree) -> list[_Link]:
 def _lengths(tree: Tree, links: Iterable[_Link]) -> Array:
     """Length of each body, (n,) [m].
 
-    Greatest of half the offset of its joint, the distances to the mass centres of its links and the
-    offsets of the joints it carries.
+    The length is the largest of half the offset of the body's joint, the distances to the mass
+    centres of the body's links, and the offsets of the joints that the body carries.
     """
     lengths = np.array([np.linalg.norm(joint.offset) / 2 for joint in tree.joints])
     for joint in tree.joints:
@@ -149,9 +151,11 @@ def _rounded_moments(inertia: Inertia) -> tuple[float, ...]:
 def _reason(inertia: Inertia, length: float, reach: float) -> str:
     """Reason why an inertia is a placeholder; "" for a plausible inertia.
 
-    Reasons: equal moments that are a power of ten, mass and moments all of one significant digit,
-    radius of gyration above 2 lengths and MAX_RADIUS_RATIO times `reach`, or density of the box
-    with this inertia outside MIN_DENSITY ... MAX_DENSITY. Non-positive moments are no reason.
+    An inertia is a placeholder if its moments are equal and a power of ten; if mass and moments all
+    have one significant digit; if the radius of gyration exceeds both 2 `length` and
+    MAX_RADIUS_RATIO `reach`; if the density of the box with this inertia is below MIN_DENSITY; or
+    if this density is above MAX_DENSITY and the radius of gyration is below 0.05 `length`. An
+    inertia with non-positive moments is not a placeholder.
 
     Args:
         inertia: Inertia of the link.
@@ -190,10 +194,11 @@ def _has_one_digit(number: float) -> bool:
 
 
 def _friction_reasons(joints: tuple[Joint, ...]) -> Iterator[tuple[str, str]]:
-    """Yield the kinds of friction with placeholder values, with reasons.
+    """Yield the kinds of friction with placeholder values, and the reasons.
 
-    A kind has placeholders if at least 60 % of the joints with such friction have the same value of
-    one significant digit, or if all joints with such friction, MIN_COUNT or more, have one value.
+    A kind of friction has placeholder values if at least 60 % of the joints with this friction
+    share a value of one significant digit, or if all joints with this friction, MIN_COUNT or more,
+    share a value.
     """
     for kind in ("coulomb", "viscous"):
         values = [value for joint in joints if (value := getattr(joint, kind)) > 0]

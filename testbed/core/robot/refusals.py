@@ -1,4 +1,4 @@
-"""Errors of model files that cannot be read as a tree, with remedies in messages."""
+"""Errors for model files that cannot be read as a tree; the messages include remedies."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from testbed.core.base.errors import MAX_LIST_WIDTH, ModelError, shortened_list
 
 
 class InertiaError(ModelError):
-    """Error of physically inconsistent link inertias; `flaws` holds a line for each link."""
+    """Error for physically inconsistent link inertias; `flaws` holds one line per link."""
 
     def __init__(self, source: str, flaws: Sequence[str]) -> None:
         self.flaws = tuple(flaws)
@@ -20,7 +20,7 @@ class InertiaError(ModelError):
 
 
 class FreeRootError(ModelError):
-    """Error of a floating root; `joint` holds the name of the free joint."""
+    """Error for a floating root; `joint` holds the name of the free joint."""
 
     def __init__(self, source: str, joint: str) -> None:
         self.joint = joint
@@ -32,7 +32,7 @@ class FreeRootError(ModelError):
 
 
 class MimicError(ModelError):
-    """Error of mimic joints that are not locked; `masters` holds the master by mimic joint."""
+    """Error for mimic joints that are not locked; `masters` maps mimic joints to master joints."""
 
     def __init__(
         self, source: str, masters: Mapping[str, str], hold: Sequence[str]
@@ -53,7 +53,7 @@ class MimicError(ModelError):
 
 
 class LoopError(ModelError):
-    """Error of a constraint that closes a loop; `joints` holds rest positions along the loop."""
+    """Error for a constraint that closes a loop; `joints` holds rest positions along the loop."""
 
     def __init__(
         self, source: str, constraint: str, joints: Mapping[str, float]

@@ -1,8 +1,9 @@
 """Repair of physically inconsistent inertias in a model file.
 
-Links fixed to each other are lumped into one body before the check: a frame without inertia, or
-with moments of -2e-22, is harmless then. Bodies that are still inconsistent are replaced:
-rounding errors always, larger errors by the nearest consistent body or a given body.
+Links fixed to each other are lumped into one body before the check, so that a frame without
+inertia, or with moments of -2e-22, is harmless. Bodies that are still inconsistent are replaced:
+bodies with rounding errors always, bodies with larger errors by the nearest consistent body or by a
+given body.
 """
 
 from __future__ import annotations
@@ -26,31 +27,31 @@ from testbed.core.robot.rigid_matter import (
 )
 
 InertiasByLink: TypeAlias = Mapping[str, Inertia]
-"""Inertias of lumped bodies, by the link that carries the fixed links, about and along its
-frame."""
+"""Inertias of lumped bodies, relative to the frame of the carrier link and keyed by this link, to
+which the other links of the body are fixed."""
 
 MIN_MOMENT_RATIO = 1e-6
-"""Least ratio of a repaired body's principal second moments to the greatest."""
+"""Smallest ratio between two principal second moments of a repaired body."""
 
 MIN_MASS_RATIO = 1e-5
-"""Mass given to a massless body, in parts of the robot's mass."""
+"""Mass assigned to a massless body, relative to the robot's mass."""
 
 MAX_LISTED_FLAWS = 3
-"""Largest number of flaws that are listed one by one."""
+"""Largest number of flaws that are listed individually."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelLink:
-    """Link of a model file, with its place in the tree and its inertia.
+    """Link of a model file, with its position in the tree and its inertia.
 
     Attributes:
         name: Name in the file.
         body: Index of the tree's body that contains the link, -1 for the pedestal.
-        parent: Name of the link that carries it by a joint of any type; "" for the root.
-        fixed_carrier: Name of the link to which fixed joints of the file connect it; `name` if none
-            does.
+        parent: Name of the link to which a joint of any type connects this link; "" for the root.
+        fixed_carrier: Name of the carrier, to which fixed joints of the file connect this link;
+            `name` if no fixed joint does.
         X_BL: Pose of the link L in the frame of its body B.
-        inertia: Inertia as stated in the file, about and along the link's frame.
+        inertia: Inertia as stated in the file, relative to the link's frame.
     """
 
     name: str
@@ -62,20 +63,21 @@ class ModelLink:
 
     @property
     def inertia_in_body(self) -> Inertia:
-        """Inertia of the link about and along the body's frame."""
+        """Inertia of the link relative to the body's frame."""
         return self.inertia.transformed(self.X_BL)
 
 
 @dataclass(frozen=True, eq=False)
 class ModelEdit:
-    """Changes of a model file: inertias, friction, torque constants, delay.
+    """Changes to a model file: inertias, friction, torque constants, delay.
 
     Attributes:
-        links: New inertias, about and along the links' frames, by link.
-        joints: New friction and rotor inertias, by joint and parameter.
-        torque_ratios: True torque over the torque that the drive reports, by joint.
-        delay: Delay from a command to its torque [s].
-        diagnostics: Changes that could not be distributed among links.
+        links: New inertias relative to the links' frames, keyed by link.
+        joints: New friction and rotor inertias, keyed by joint, then by parameter.
+        torque_ratios: Ratios of the true torque to the torque reported by the drive, keyed by
+            joint.
+        delay: Delay between a torque command and the torque [s].
+        diagnostics: Diagnostics of changes that could not be distributed among links.
     """
 
     links: Mapping[str, Inertia]
@@ -86,19 +88,19 @@ class ModelEdit:
 
 
 def total_inertia(parts: Iterable[Inertia]) -> Inertia:
-    """Sum of the inertias of bodies welded together, all about the same frame."""
+    """Sum of the inertias of bodies welded together, all relative to the same frame."""
     return sum(parts, ZERO_INERTIA)
 
 
 @dataclass(frozen=True, eq=False)
 class Repair:
-    """Replacements of physically inconsistent inertias in a model file.
+    """Replacements for physically inconsistent inertias in a model file.
 
     Attributes:
-        links: New inertias by link, about and along its frame; other links are unchanged.
-        bodies: New inertias of lumped bodies with more than rounding errors, from which `links` is
-            made, by the link that carries the fixed links.
-        flaws: Flaws of these bodies, a line each.
+        links: New inertias relative to the links' frames, keyed by link; other links are unchanged.
+        bodies: New inertias of lumped bodies with errors beyond rounding, keyed by carrier link;
+            `links` is derived from these inertias.
+        flaws: Flaws of these bodies, one text per body.
         diagnostics: Diagnostics of the repair.
     """
 
@@ -118,23 +120,27 @@ def repair_inertias(
 ) -> Repair:
     """Replace inertias that are physically inconsistent or out of proportion to the robot.
 
-    Links fixed to each other are lumped. An inconsistent body or a massless chain end gets the
-    nearest consistent inertia, a moving body out of proportion (`_out_of_scale`) the average of the
-    other bodies. The inertia is assigned to the carrier, links fixed to it become massless.
+    Links fixed to each other are lumped. An inconsistent body, or a massless body at the end of a
+    chain, gets the nearest consistent inertia. A moving body out of proportion (`_out_of_scale`)
+    gets the average inertia of the other bodies. The new inertia is assigned to the carrier link,
+    and the links fixed to this link become massless.
 
     Args:
-        links: All links of the file, carriers before what they carry.
-        suspects: Flaws of single links, by name; only their lumped bodies are checked.
+        links: All links of the file, each after its carrier.
+        suspects: Flaws of single links, keyed by name; only lumped bodies that contain such links
+            are checked.
         parents: Parent indices of the tree's bodies, to find massless chain ends; () for no search.
-        replacements: Inertias in place of the file's, as in `Repair.bodies`; other flaws beyond
-            rounding are errors then. None takes the nearest consistent inertias.
+        replacements: Inertias that replace those of the file, as in `Repair.bodies`; remaining
+            flaws beyond rounding then raise an error. None selects the nearest consistent inertias.
         source: File name, for messages.
-        reach: Sum of the distances from joint to joint [m].
+        reach: Sum of the distances between successive joints [m].
 
     Raises:
-        InertiaError: `replacements` hold no consistent inertia for an inconsistent body.
-        ModelError: A mass is negative or a number is not finite: no nearest body exists.
-        UnknownName: A replacement is for an unknown link or a link fixed to another.
+        InertiaError: `replacements` contains no consistent inertia for an inconsistent body.
+        ModelError: A mass is negative or a number is not finite, so that no nearest consistent body
+            exists.
+        UnknownName: A replacement is given for an unknown link, or for a link that is fixed to
+            another.
     """
     groups: dict[str, list[ModelLink]] = {}  # carrier first, then the links fixed to it
     for link in links:
@@ -187,15 +193,18 @@ def repair_inertias(
 def _flaws(
     bodies: InertiasByLink, link_flaws: Mapping[str, str], source: str
 ) -> dict[str, str]:
-    """Reasons why lumped bodies are physically inconsistent, by name; only inconsistent bodies.
+    """Reasons why lumped bodies are physically inconsistent, keyed by name.
+
+    Consistent bodies are omitted.
 
     Args:
-        bodies: Lumped bodies by name.
-        link_flaws: Flaw of the first inconsistent link of each body, by name of the body.
+        bodies: Lumped bodies, keyed by name.
+        link_flaws: Flaw of the first inconsistent link of each body, keyed by name of the body.
         source: File name, for messages.
 
     Raises:
-        ModelError: No consistent body is near, as a mass is negative or a number not finite.
+        ModelError: A mass is negative or a number is not finite, so that no nearest consistent body
+            exists.
     """
     flaws = {
         name: line for name, body in bodies.items() if (line := _body_flaw(name, body))
@@ -213,10 +222,10 @@ def _diagnostics(
     rounding_names: Iterable[str],
     flaw_names: Iterable[str],
 ) -> Iterator[Diagnostic]:
-    """Yield diagnostics of bodies out of proportion, with rounding errors, with larger errors.
+    """Yield diagnostics of bodies out of proportion, with rounding errors, or with larger errors.
 
-    One per body out of proportion, one for all bodies with rounding errors, one for all with larger
-    errors.
+    There is one diagnostic per body out of proportion, one for all bodies with rounding errors, and
+    one for all bodies with larger errors.
 
     Args:
         scale_messages: Messages for bodies out of proportion.
@@ -233,7 +242,7 @@ def _diagnostics(
 
 @dataclass(frozen=True)
 class _RobotScale:
-    """Mass and length of a robot, to which inertias are compared.
+    """Mass and length of a robot, with which inertias are compared.
 
     Attributes:
         mass: Sum of the bodies' masses [kg].
@@ -245,7 +254,7 @@ class _RobotScale:
 
     @staticmethod
     def of_bodies(bodies: Iterable[Inertia]) -> _RobotScale:
-        """Scale of a robot from the bodies' inertias; unity in place of zero."""
+        """Scale of a robot from the bodies' inertias; zero mass or length becomes 1."""
         heavy = [body for body in bodies if body.mass > 0]
         reach = max([0.0, *(body.radius for body in heavy)])
         return _RobotScale(sum(body.mass for body in heavy) or 1.0, reach or 1.0)
@@ -259,8 +268,9 @@ class _RobotScale:
     def is_rounding(self, old: Inertia, new: Inertia) -> bool:
         """Test whether an inertia changes by no more than rounding.
 
-        The mass is unchanged, and the pseudo-inertia changes by at most 1e-4 of the greatest
-        central second moment or 1e-9 of the robot's mass times `reach` squared.
+        A change is attributed to rounding if the mass is unchanged and the pseudo-inertia changes
+        by at most 1e-4 of the largest central second moment, or by at most 1e-9 times the robot's
+        mass times `reach` squared.
 
         Args:
             old: Inertia before the repair.
@@ -281,15 +291,16 @@ class _RobotScale:
 def _out_of_scale(
     bodies: InertiasByLink, reach: float
 ) -> tuple[Inertia, dict[str, str]]:
-    """Average body, and messages for bodies out of proportion to the robot, by name.
+    """Average inertia, and messages for bodies out of proportion to the robot, keyed by name.
 
-    Out of proportion are a mass below 1e-7 of the median or above 1e4 kg/m^3 times L^3, and a
-    radius of gyration above 10 L, with the length L = max(reach, 1 m). The average body is a ball
-    around its frame's origin with the mean mass and mean radius of gyration of the other bodies.
+    A body is out of proportion if its mass is below 1e-7 times the median or above 1e4 kg/m^3 times
+    L^3, or if its radius of gyration is above 10 L, with the length L = max(reach, 1 m). The
+    average inertia is that of a ball around its frame's origin with the mean mass and mean radius
+    of gyration of the other bodies.
 
     Args:
-        bodies: Moving lumped bodies by name.
-        reach: Sum of the distances from joint to joint [m].
+        bodies: Moving lumped bodies, keyed by name.
+        reach: Sum of the distances between successive joints [m].
     """
     valid = {
         name: body
@@ -320,13 +331,13 @@ _MESSAGE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g
 
 
 def _lumped_inertia(carrier: ModelLink, *others: ModelLink) -> Inertia:
-    """Inertia of a link and all links fixed to it, in the link's frame.
+    """Inertia of a link and all links fixed to the link, relative to its frame.
 
-    Without massive fixed links the link's inertia is unchanged to the last bit.
+    If no fixed link has mass, the inertia of the link is returned bit for bit.
 
     Args:
         carrier: Link that carries the others.
-        others: Links fixed to it.
+        others: Links fixed to the carrier.
     """
     X_CB = carrier.X_BL.inverse
     massive = (link for link in others if link.inertia.pseudo.any())
@@ -338,11 +349,12 @@ def _lumped_inertia(carrier: ModelLink, *others: ModelLink) -> Inertia:
 def _body_flaw(name: str, body: Inertia) -> str | None:
     """Reason why a lumped body is physically inconsistent; None if consistent.
 
-    Central moments below POINT_MASS_TOLERANCE times the moments about the frame count as zero.
+    Central moments below POINT_MASS_TOLERANCE times the moments about the frame's origin are
+    treated as zero.
 
     Args:
         name: Name of the carrier link, for the message.
-        body: Inertia about and along the carrier link's frame.
+        body: Inertia relative to the carrier link's frame.
     """
     central = body.central
     if np.abs(central).max() <= POINT_MASS_TOLERANCE * np.abs(body.tensor).max():
@@ -353,14 +365,14 @@ def _body_flaw(name: str, body: Inertia) -> str | None:
 def _massless_ends(
     links: Sequence[ModelLink], bodies: InertiasByLink, parents: Sequence[int]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the carrier links of massless moving bodies at chain ends, with the flaw.
+    """Yield carrier links of massless moving bodies at chain ends, with descriptions of the flaws.
 
-    Neither such a body nor any body that it carries has an inertia, while another body of the tree
-    has.
+    Neither such a body nor any body that it carries has an inertia, although another body of the
+    tree has an inertia.
 
     Args:
-        links: All links of the file, carriers before what they carry.
-        bodies: Lumped bodies by name.
+        links: All links of the file, each after its carrier.
+        bodies: Lumped bodies, keyed by name.
         parents: Parent indices of the tree's bodies.
     """
     has_mass = [False] * len(parents)

@@ -1,4 +1,4 @@
-"""Restoration of right angles between joint frames and axes that a model file rounds.
+"""Restoration of right angles between joint frames and axes after rounding in a model file.
 
 Angles that are right or zero only to six digits would change the identifiable parameters.
 """
@@ -17,19 +17,19 @@ from testbed.core.robot.rotations import rotvec_to_matrix
 from testbed.core.robot.tree import Joint, Tree
 
 MAX_ROUNDING_ANGLE = 1e-5
-"""Largest deviation from a right or zero angle that is rounding to six digits [rad]."""
+"""Largest deviation from a right or zero angle that is attributed to six-digit rounding [rad]."""
 
 MIN_ROUNDING_ANGLE = 1e-12
-"""Largest deviation that is floating-point error alone, left unchanged [rad]."""
+"""Largest deviation that is attributed to floating-point error, and left unchanged [rad]."""
 
 
 def with_right_angles(tree: Tree) -> Tree:
     """Tree whose rounded joint rotations have exact right or zero angles.
 
-    Angles are those between the frames of a joint's body and its carrying body, or between the axes
-    of a joint and the joint before (gravity for the first joint). An angle within
-    MAX_ROUNDING_ANGLE of a right or zero angle is taken as such; a diagnostic names the joints with
-    a new rotation.
+    The angles are those between the axes of the frames of a joint's body and the carrying body, and
+    those between the axes of successive joints (for a joint on the bedplate, between gravity and
+    the joint axis). An angle within MAX_ROUNDING_ANGLE of a right or zero angle is replaced by the
+    exact angle; a diagnostic names the joints with changed rotations.
 
     Args:
         tree: Robot as read from the file.
@@ -55,9 +55,10 @@ def with_right_angles(tree: Tree) -> Tree:
 def _right_angle_rotations(joint: Joint, previous_axis: Array) -> Iterator[Array]:
     """Yield exact rotations R_PB near a joint's rotation, (3, 3), in order of preference.
 
-    First the rotation rounded to right angles between all axes of the frames; then the rotation
-    with the joint axis exactly parallel or normal to `previous_axis`. Each only if its deviation is
-    between MIN_ROUNDING_ANGLE and MAX_ROUNDING_ANGLE.
+    The first candidate is the rotation rounded to right angles between all axes of the two frames.
+    The second candidate has a joint axis exactly parallel or normal to `previous_axis`. A candidate
+    is yielded only if it deviates from the given rotation by more than MIN_ROUNDING_ANGLE and less
+    than MAX_ROUNDING_ANGLE.
 
     Args:
         joint: Joint of body B on body P.

@@ -8,33 +8,37 @@ from numpy.typing import ArrayLike
 from testbed.core.robot.inertia import Inertia
 
 POINT_MASS_TOLERANCE = 1e-9
-"""Share of a body's second moments about the frame below which central moments are rounding.
+"""Largest ratio of central to total second moments that is attributed to rounding.
 
-A body with smaller central moments is a point mass."""
+Total second moments are those about the origin of the body's frame. A body with a smaller ratio is
+treated as a point mass."""
 
 
 POINT_MASS_RADIUS_RATIO = 0.1
-"""Radius of gyration given to a point mass, relative to its distance or to the robot's length."""
+"""Radius of gyration assigned to a point mass, relative to its distance or the robot's length."""
 
 
 def nearest_consistent_inertia(
     body: Inertia, min_moment_ratio: float, mass: float, reach: float
 ) -> Inertia:
-    """Nearest physically consistent inertia; mass, mass centre and principal axes stay if possible.
+    """Nearest physically consistent inertia.
 
-    The central second-moment matrix is projected, in the Frobenius norm, onto matrices whose
-    eigenvalues are at least a share of the largest. A point mass becomes a ball around its mass
-    centre, with radius of gyration POINT_MASS_RADIUS_RATIO times its distance from the frame's
-    origin. A massless body gets a mass at its frame's origin.
+    Mass, mass centre and principal axes are left unchanged if possible.
 
-    Source    [WKS18] for the condition; the shares are our own choice.
+    The central second-moment matrix is projected, in the Frobenius norm, onto the matrices whose
+    eigenvalues are at least `min_moment_ratio` times the largest eigenvalue. A point mass becomes a
+    ball around its mass centre, with radius of gyration POINT_MASS_RADIUS_RATIO times its distance
+    from the frame's origin. A massless body gets the mass `mass` at the origin of its frame.
+
+    Source    [WKS18] for the condition; the ratios are our own choice.
 
     Args:
-        body: Inertia as read from a file, about and along the body's frame.
-        min_moment_ratio: Least ratio of a principal second moment to the greatest.
-        mass: Mass for a massless body [kg].
-        reach: Length of the robot, in place of the distance of a point mass at its frame's origin
-            [m].
+        body: Inertia as read from a file, relative to the body's frame.
+        min_moment_ratio: Smallest ratio of a principal second moment to the largest principal
+            second moment.
+        mass: Mass assigned to a massless body [kg].
+        reach: Length of the robot [m], which replaces the distance of a point mass that lies at the
+            origin of its frame.
     """
     if body.mass <= 0:
         body = Inertia(mass, np.zeros(3), body.tensor)
@@ -50,10 +54,11 @@ def nearest_consistent_inertia(
 
 
 def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:
-    """Reason why no rigid body has a link's mass and inertia; None if physically consistent.
+    """Reason why a link's mass and inertia are physically inconsistent; None if consistent.
 
-    Consistent are a mass and moments above zero that satisfy the triangle inequality (slack 1e-9).
-    A link with zero mass and inertia is accepted: files use such links as frames.
+    An inertia is consistent if the mass and the principal moments are positive and the moments
+    satisfy the triangle inequality with a relative slack of 1e-9. A link with zero mass and zero
+    inertia is accepted, as files use massless links as frames.
 
     Args:
         link: Link name, for the message.

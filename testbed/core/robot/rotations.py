@@ -25,7 +25,8 @@ def rpy_to_matrix(rpy: ArrayLike) -> Array:
 def matrix_to_rpy(R: Array) -> tuple[float, float, float]:
     """Roll, pitch and yaw of a rotation matrix about fixed axes x, y, z [rad].
 
-    In gimbal lock (pitch a right angle), roll is zero and yaw is the whole rotation.
+    In gimbal lock (pitch of +-90 degrees), roll is set to zero and yaw takes the remaining
+    rotation.
 
     Args:
         R: Rotation matrix, (3, 3).

@@ -16,17 +16,18 @@ from testbed.core.robot.tree import Tree
 def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
     """Tree with the angular momentum of spinning rotors added to the bodies' inertias.
 
-    About the joint axis, gear ratio times rotor inertia is added to the inertia of the joint's
-    body, and subtracted from the inertia of the carrying body and from the joint's `rotor_inertia`.
-    The minimal parameters of this tree then contain the gyroscopic effect.
+    The product of gear ratio and rotor inertia is added to the moment of inertia of the joint's
+    body about the joint axis. The same product is subtracted from this moment of the carrying body
+    and from the joint's `rotor_inertia`. The minimal parameters of the returned tree then include
+    the gyroscopic effect.
 
     Args:
         tree: Robot whose rotors are fixed to the carrying bodies.
-        spins: Gear ratio times rotor inertia, by joint name [kg m^2].
+        spins: Products of gear ratio and rotor inertia, keyed by joint name [kg m^2].
 
     Raises:
         UnknownName: No joint has the name.
-        ModelError: A joint is prismatic: its rotor is not represented by the bodies.
+        ModelError: A joint is prismatic, so that the bodies cannot represent the spin of its rotor.
     """
     for name, spin in spins.items():
         j = tree.index(name)

@@ -13,20 +13,21 @@ from testbed.core.base.errors import ModelError
 from testbed.core.robot.tree import Shaft, Tree
 
 ShaftRatios = Mapping[str, Mapping[str, float]]
-"""Turns of the shaft per turn of the joint, by shaft name and joint name."""
+"""Turns of the shaft per turn of the joint, keyed by shaft name, then by joint name."""
 
 
 def with_shafts(tree: Tree, shafts: ShaftRatios) -> Tree:
-    """Tree with motor shafts that turn with several joints.
+    """Tree with motor shafts, each coupled to several joints.
 
     Args:
         tree: Robot.
-        shafts: Turns of the shaft per turn of the joint, by shaft and joint; these shafts replace
-            those of the tree.
+        shafts: Turns of the shaft per turn of the joint, keyed by shaft, then by joint; these
+            shafts replace the shafts of the given tree.
 
     Raises:
         UnknownName: No joint has the name.
-        ModelError: Name or ratios of a shaft are invalid, or two shafts have proportional ratios.
+        ModelError: The name or the ratios of a shaft are invalid, or two shafts have proportional
+            ratios.
     """
     result = []
     for name, turns in shafts.items():
@@ -50,15 +51,18 @@ def with_shafts(tree: Tree, shafts: ShaftRatios) -> Tree:
 
 
 def joint_and_shaft_names(tree: Tree) -> tuple[str, ...]:
-    """Names of the joints, then of the shafts: places where a torque term may act."""
+    """Names of the joints, followed by the names of the shafts.
+
+    A torque term acts at one joint or shaft of this list.
+    """
     return (*tree.names, *(shaft.name for shaft in tree.shafts))
 
 
 def transmission_matrix(tree: Tree) -> Array:
-    """Transmission ratios of joints and shafts to the joints, (n + shafts, n).
+    """Transmission ratios of the n joints and s shafts relative to the joints, (n + s, n).
 
-    Row k holds the turns of the joint or shaft with index k in `joint_and_shaft_names` per turn of
-    each joint: the identity for the joints, followed by the ratios of the shafts.
+    Row k holds the turns of joint or shaft k of `joint_and_shaft_names` per turn of each joint. The
+    n rows of the joints form the identity matrix; the s rows of the shafts hold their ratios.
     """
     ratios = np.eye(tree.n + len(tree.shafts), tree.n)
     for row, shaft in zip(ratios[tree.n :], tree.shafts, strict=True):
@@ -73,8 +77,9 @@ def _check_shaft(tree: Tree, name: str, turns: Mapping[str, float]) -> None:
 
     Raises:
         UnknownName: No joint has the name.
-        ModelError: The name is a joint's, empty or contains "/", a ratio is zero or not finite,
-            fewer than two joints are coupled, or revolute with prismatic joints.
+        ModelError: The name is empty, contains "/" or is the name of a joint; a ratio is zero or
+            not finite; fewer than two joints are coupled; or revolute joints are coupled with
+            prismatic joints.
     """
     label = f"robot.coupling: shaft '{name}'"
     if name in tree.names or not name or "/" in name:

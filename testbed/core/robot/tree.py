@@ -1,7 +1,7 @@
 """Robot model: rigid bodies joined in an open kinematic tree on a bedplate.
 
-Body j is carried by body `parents[j]` through joint j; the bedplate is -1; numbering is
-ascending, parents first. Names, orders and data are by joint.
+Joint j connects body j to the carrying body `parents[j]`; the bedplate has the index -1. Parents
+have smaller indices than children. Names and columns of data are in the order of the joints.
 
 Source    [FRS96] section 2: INBODY, T of eq. (1), l^ij of eq. (2)
 """
@@ -35,13 +35,13 @@ JointKind = Literal["revolute", "prismatic"]
 
 
 MIN_GRAVITY, MAX_GRAVITY = 1e-6, 1e4
-"""Range of plausible magnitudes of gravity other than zero [m/s^2]."""
+"""Range of plausible magnitudes of nonzero gravity [m/s^2]."""
 
 MAX_COORDINATE = 1e6
 """Largest accepted coordinate of a position in a model file [m]."""
 
 AXIS_NORM_TOLERANCE = 1e-6
-"""Largest deviation of an axis vector's length from one, for rounding in files."""
+"""Largest accepted deviation of an axis vector's length from one, due to rounding in files."""
 
 SETTABLE_FIELDS = (
     "position_range",
@@ -51,15 +51,16 @@ SETTABLE_FIELDS = (
     "viscous",
     "rotor_inertia",
 )
-"""Fields of `Joint` that may be replaced by better known values."""
+"""Fields of `Joint` that may be replaced by more accurate values."""
 
 
 @dataclass(frozen=True, eq=False)
 class Joint(Value):
     """Joint with one degree of freedom, and pose of its body on the carrying body.
 
-    x_i = l + A Rot(e, q) x_j for a revolute joint, x_i = l + A (e q + x_j) for a prismatic
-    one. Limits missing in the file are infinite, friction and rotor inertia are then zero.
+    A point x_j of body j has, in frame i of the carrying body, the coordinates
+    x_i = l + A Rot(e, q) x_j (revolute joint) or x_i = l + A (e q + x_j) (prismatic joint).
+    Limits not stated in the file are infinite, friction and rotor inertia not stated are zero.
 
     Attributes:
         name: Joint name in the model file.
@@ -67,8 +68,8 @@ class Joint(Value):
         kind: "revolute" or "prismatic".
         parent: Index of the carrying body, -1 for the bedplate.
         axis: Unit vector e^j of the joint axis in body j's frame, (3,).
-        offset: l^ij from O^i to the joint's attachment point, (3,) [m], frame i.
-        rotation: A, from frame j at q = 0 to frame i, (3, 3).
+        offset: Vector l^ij from O^i to the joint's attachment point, in frame i, (3,) [m].
+        rotation: Rotation matrix A from frame j at q = 0 to frame i, (3, 3).
         position_range: Lower and upper position limit, (2,) [rad or m].
         max_velocity: Largest speed [rad/s or m/s].
         max_effort: Largest motor torque or force at the joint side [N m or N].
@@ -103,7 +104,7 @@ class Joint(Value):
 
     @property
     def X_PB(self) -> Transform:
-        """Pose of body frame B at q = 0 in the carrying frame P."""
+        """Pose X_PB of body frame B in the carrying body's frame P, at `q = 0`."""
         return Transform(self.rotation, self.offset)
 
     @property
@@ -113,13 +114,13 @@ class Joint(Value):
         return axis
 
     def flaw(self) -> str | None:
-        """First invalid property of the joint, worded to follow "has"; None if valid."""
+        """First invalid property of the joint, as the object of "has"; None if valid."""
         return next(self._flaws(), None)
 
     def _flaws(self) -> Iterator[str]:
-        """Yield invalid properties: placement, axis, limits, friction, rotor inertia.
+        """Yield descriptions of invalid placement, axis, limits, friction and rotor inertia.
 
-        Worded to follow "has"; later entries may be consequences of the first.
+        The texts are objects of "has"; later texts may be consequences of the first.
         """
         placement = np.concatenate([self.offset, self.rotation.ravel(), self.axis])
         if not np.isfinite(placement).all():
@@ -147,7 +148,8 @@ class Joint(Value):
         """Joint with some of SETTABLE_FIELDS replaced.
 
         Args:
-            settings: Values by field name: numbers, and two numbers for `position_range`.
+            settings: Values keyed by field name: two numbers for `position_range`, one number for
+                others.
 
         Raises:
             UnknownName: A name is not in SETTABLE_FIELDS.
@@ -177,11 +179,11 @@ class Joint(Value):
 
 @dataclass(frozen=True)
 class Shaft:
-    """Motor shaft that turns with several joints.
+    """Motor shaft coupled to several joints.
 
     Attributes:
         name: Shaft name; its friction coefficient is called coulomb/NAME.
-        turns: Joint indices, and turns of the shaft per turn of the joint.
+        turns: Pairs of a joint index and the turns of the shaft per turn of this joint.
     """
 
     name: str
@@ -215,15 +217,15 @@ class SensorPlacement:
 
 @dataclass(frozen=True)
 class ModelSource(Value):
-    """Path of a model file, and options of reading.
+    """Path of a model file, and options for reading.
 
     Attributes:
         path: MJCF or URDF file.
         weld_root: True to weld a floating root to the bedplate.
-        repair: Replacements of physically inconsistent inertias of lumped bodies, by the link to
-            which the others are fixed; {} rejects such a file, None takes the nearest consistent
-            inertias.
-        lock: Positions of locked joints [rad or m]; None for the rest position of the joint.
+        repair: Replacements for physically inconsistent inertias of lumped bodies, keyed by the
+            link to which the others are fixed; {} rejects inconsistent inertias, None selects the
+            nearest consistent inertias.
+        lock: Positions of locked joints, keyed by name [rad or m]; None for the rest position.
     """
 
     path: Path
@@ -239,18 +241,18 @@ class Tree(Diagnosed, Value):
     Attributes:
         name: Robot name.
         joints: Joints, one per body, parents first.
-        inertias: Inertias, one per body, about and along the body's frame.
-        pedestal: Inertia of the parts welded to the bedplate, in the bedplate frame; known.
+        inertias: Inertias, one per body, relative to the body's frame.
+        pedestal: Known inertia of the parts welded to the bedplate, in the bedplate frame.
         gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame.
-        diagnostics: Faults of the model file that were accepted on loading.
-        shafts: Motor shafts that turn with several joints.
+        diagnostics: Diagnostics of faults in the model file that were accepted on loading.
+        shafts: Motor shafts coupled to several joints.
         floating: True if the first six joints are the coordinates of a free base.
-        lead: Number of first joints, in series, that move the base, which is the body of the last
-            of these joints; the bodies before are massless. 0 if the bedplate is the base.
+        lead: Number of leading joints, in series, that move the base, the body of the last leading
+            joint; the bodies before are massless. 0 if the bedplate is the base.
         sensor: Placement of the force sensor on the base; None for the bedplate.
-        cuts: Placements of the next force sensors; the links beyond are not part of the tree, as
-            their wrench is measured.
-        bare: Indices of massless bodies, whose links are all beyond a sensor of `cuts`.
+        cuts: Placements of the next force sensors; the links beyond these sensors are not part of
+            the tree, as their wrench is measured.
+        bare: Indices of bodies without mass, as all their links are beyond a sensor of `cuts`.
         file: Model file that the tree was read from, if any.
     """
 
@@ -302,7 +304,7 @@ class Tree(Diagnosed, Value):
 
     @property
     def massless(self) -> int:
-        """Number of massless first bodies, between the bedplate and a moving base."""
+        """Number of massless leading bodies between the bedplate and a moving base."""
         return max(self.lead - 1, 0)
 
     @property
@@ -347,13 +349,14 @@ class Tree(Diagnosed, Value):
         return tuple(poses)
 
     def gravity_or(self, gravity: ArrayLike | None) -> Array:
-        """Gravity vector, checked; the tree's for None, (3,) [m/s^2], bedplate frame.
+        """Checked gravity vector in the bedplate frame, (3,) [m/s^2].
 
         Args:
-            gravity: Three numbers [m/s^2], a text for `parse_gravity`, or None.
+            gravity: Three numbers [m/s^2], a text for `parse_gravity`, or None for the tree's
+                gravity.
 
         Raises:
-            ModelError: The value is not three finite numbers, or its size is neither zero nor
+            ModelError: The value is not three finite numbers, or its magnitude is neither zero nor
                 between MIN_GRAVITY and MAX_GRAVITY.
             SettingsError: The text is neither three numbers nor a key of GRAVITY_BY_MOUNTING.
         """
@@ -376,7 +379,7 @@ class Tree(Diagnosed, Value):
         """Tree with another gravity vector.
 
         Args:
-            gravity: Gravity, (3,) [m/s^2], bedplate frame; None keeps the tree's.
+            gravity: Gravity in the bedplate frame, (3,) [m/s^2]; None for the tree's gravity.
 
         Raises:
             ModelError: The value is invalid for `gravity_or`.
@@ -387,9 +390,9 @@ class Tree(Diagnosed, Value):
         """Tree with limits, friction or rotor inertias of some joints replaced.
 
         Args:
-            settings: New values by joint name and field: `position_range` (two numbers),
-                `max_velocity`, `max_effort`, `coulomb`, `viscous`, `rotor_inertia`; units as
-                in Joint.
+            settings: New values, keyed by joint name, then by field: `position_range` (two
+                numbers), `max_velocity`, `max_effort`, `coulomb`, `viscous`, `rotor_inertia`; units
+                as in `Joint`.
 
         Raises:
             UnknownName: No joint or no field has the name.
@@ -402,12 +405,12 @@ class Tree(Diagnosed, Value):
         return replace(self, joints=tuple(joints))
 
     def children(self, body: int) -> tuple[int, ...]:
-        """Indices of the bodies carried directly by `body` (-1: by the bedplate)."""
+        """Indices of the bodies carried directly by `body`; -1 is the bedplate."""
         return self._children.get(body, ())
 
     @cached_property
     def _children(self) -> dict[int, tuple[int, ...]]:
-        """Indices of the directly carried bodies, by carrying body (-1: the bedplate)."""
+        """Indices of the directly carried bodies, keyed by carrying body; -1 is the bedplate."""
         carried: dict[int, tuple[int, ...]] = {}
         for j, joint in enumerate(self.joints):
             carried[joint.parent] = (*carried.get(joint.parent, ()), j)
@@ -422,7 +425,7 @@ class Tree(Diagnosed, Value):
         return tuple(reversed(links))
 
     def index(self, name: str) -> int:
-        """Index of the joint called `name`.
+        """Index of the joint with the name `name`.
 
         Raises:
             UnknownName: No joint has the name.
@@ -436,7 +439,7 @@ class Tree(Diagnosed, Value):
 
         Args:
             body: Index of the body, -1 for the bedplate.
-            addition: Added inertia, about and along the body's frame.
+            addition: Added inertia, relative to the body's frame.
         """
         if body < 0:
             return replace(self, pedestal=self.pedestal + addition)
@@ -454,7 +457,7 @@ class Tree(Diagnosed, Value):
         return replace(self, joints=joints)
 
     def without_inertias(self) -> Tree:
-        """Tree with zero body inertias, friction and rotor inertias: known geometry only."""
+        """Tree with zero body inertias, friction and rotor inertias, and unchanged geometry."""
         joints = tuple(
             replace(joint, rotor_inertia=0.0)
             for joint in self.without_friction().joints
@@ -467,7 +470,7 @@ def require_tree(value: object, call: str) -> None:
 
     Args:
         value: First argument.
-        call: Text of the call, as "identify(robot, data)".
+        call: Text of the call, for example "identify(robot, data)".
 
     Raises:
         SettingsError: The value is of another type.

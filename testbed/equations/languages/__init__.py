@@ -35,7 +35,7 @@ def write_equations(listing: Listing, language: Language, source: str = "") -> s
         source: Origin of the robot model, for the header; any text.
 
     Raises:
-        UnknownName: There is no such language.
+        UnknownName: The language does not exist.
     """
     if language not in WRITERS:
         raise UnknownName("language", language, WRITERS)
@@ -45,7 +45,8 @@ def write_equations(listing: Listing, language: Language, source: str = "") -> s
 def as_document(listing: Listing, text: str) -> dict[str, Any]:
     """Equations as a JSON document: text, parameters and operation counts.
 
-    The matrix of each kind gives minimal from barycentric parameters; None for the full form.
+    The matrix of each kind of equations maps barycentric to minimal parameters; it is None in the
+    full form.
 
     Args:
         listing: The equations.

@@ -47,9 +47,10 @@ def write_paper_notation(listing: Listing, source: str) -> str:
 
 
 def _definition_lines(listing: Listing) -> list[str]:
-    """Lines that define the barycentric parameters in the full form, else minimal parameters.
+    """Lines that define the barycentric or minimal parameters.
 
-    The latter are comments with formulas in the barycentric parameters.
+    In the full form, the lines define the barycentric parameters. In other forms, they are comments
+    with the formulas of the minimal parameters in terms of the barycentric parameters.
     """
     lines = []
     if listing.form == "full":
@@ -109,7 +110,7 @@ def write_latex(listing: Listing, source: str) -> str:
 
 
 def _equation_rows(each: Equations, joints: int) -> str:
-    """Rows of an align environment for one kind of equations, with three terms a row.
+    """Rows of an align environment for one kind of equations, with three terms per row.
 
     Entries of a mass matrix or regressor that are zero are left out.
 
@@ -178,7 +179,7 @@ def _latex_factor(factor: Factor, joints: int) -> str:
 def _latex_name(name: str) -> str:
     """Name in LaTeX with subscripts, such as omega_{3x} for w3x.
 
-    Likewise F3x_7 becomes F_{3x,7}, and phi_Q3_mb3z phi_{Q3,mb3z}.
+    Likewise, F3x_7 becomes F_{3x,7}, and phi_Q3_mb3z becomes phi_{Q3,mb3z}.
     """
     stem = re.split(r"[\d_]", name)[0]
     subscript = name[len(stem) :].strip("_").replace("_", ",")

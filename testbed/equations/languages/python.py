@@ -67,7 +67,7 @@ def write_python(listing: Listing, source: str) -> str:
 
 
 def _parameter_names(each: Equations) -> list[str]:
-    """Lines of a tuple with names, and units as comments, of the parameters."""
+    """Lines of a tuple of parameter names, with units as comments."""
     lines = [
         "",
         f"{function_name(each).upper()}_{each.parameter_vector_name.upper()} = (",
@@ -101,7 +101,7 @@ def _public_function(each: Equations) -> list[str]:
 def _block_function(each: Equations) -> list[str]:
     """Lines of the block function, which computes the program for one block of samples.
 
-    Its coordinates have shape (joints, samples).
+    The coordinates that the function takes have shape (joints, samples).
     """
     lines = [
         f"def _{function_name(each)}({', '.join(each.kind.takes)}, "
@@ -123,7 +123,7 @@ def _block_function(each: Equations) -> list[str]:
 
 
 def last_uses(program: Program) -> dict[Factor, list[str]]:
-    """Names of auxiliary variables by the line of the last use."""
+    """Names of auxiliary variables, keyed by the line of the last use."""
     unused = {name for name, _ in program.steps} - program.results
     by_line: dict[Factor, list[str]] = {}
     for name, value in reversed(program.steps):

@@ -30,12 +30,12 @@ class Notation:
     """Notation of terms in a language.
 
     Attributes:
-        name: Text of a factor.
-        number: Text of a positive number.
+        name: Function that returns the text of a factor.
+        number: Function that returns the text of a positive number.
         product_sign: Multiplication sign between factors.
         parameter_first: True to write parameters before the number, as in [FRS96].
         plus_first: True to write positive terms of a sum before negative terms.
-        power: Text of a power, from a factor's text and the exponent.
+        power: Function that returns the text of a power, from a factor's text and the exponent.
     """
 
     name: Callable[[Factor], str]
@@ -52,7 +52,7 @@ def decimal(value: Number) -> str:
 
 
 def fraction(value: Number) -> str:
-    """Text of a number: fraction with a denominator up to 64, or an exact decimal."""
+    """Text of a number: fraction with a denominator up to 64, or exact decimal."""
     if (
         isinstance(value, float)
         and value == (as_fraction := Fraction(value))
@@ -67,9 +67,10 @@ PROGRAM_STYLE = Notation(lambda factor: factor.name, decimal, plus_first=True)
 
 
 def term_texts(value: Expression, style: Notation) -> list[str]:
-    """Texts of the terms of an expression with signs, without a leading plus.
+    """Texts of the signed terms of an expression, without a leading plus sign.
 
-    Joint forces such as Q3 come first; with `style.plus_first` positive terms instead.
+    Joint forces such as Q3 come first. If `style.plus_first` is True, positive terms come first
+    instead.
 
     Args:
         value: The expression.
@@ -77,7 +78,7 @@ def term_texts(value: Expression, style: Notation) -> list[str]:
     """
 
     def order(term: Term) -> bool:
-        """False for terms to be written first: positive, or a joint force as in Q2 = Q3 + ..."""
+        """Sorting key: False for positive terms or joint forces, which are written first."""
         factors, size = term
         if style.plus_first:
             return size < 0
@@ -122,7 +123,7 @@ def wrap(start: str, pieces: list[str], indent: str) -> list[str]:
 
     Args:
         start: Beginning of the first line.
-        pieces: Texts that are not broken.
+        pieces: Texts that are not divided.
         indent: Beginning of the other lines.
     """
     lines = [start]
@@ -137,8 +138,9 @@ def wrap(start: str, pieces: list[str], indent: str) -> list[str]:
 def sanitized_text(text: str) -> str:
     """Replace characters of a text that are unsafe in a comment of any language.
 
-    Letters outside ASCII become code points, such as u65e5; other characters an underline,
-    including colons: a comment with `coding:` changes how Python decodes a file.
+    Letters outside ASCII become code points, such as u65e5; other unsafe characters become
+    underscores. Colons are unsafe, because a comment with `coding:` changes how Python decodes a
+    file.
     """
     ascii_text = "".join(
         c if c.isascii() or not c.isalnum() else f"u{ord(c):04x}" for c in text
@@ -154,7 +156,8 @@ def header_and_definitions(listing: Listing, source: str) -> list[str]:
 def header_lines(listing: Listing, source: str) -> Iterator[str]:
     """Yield lines about robot, gravity, joints and operation counts, without comment signs.
 
-    Notes of joints that are nearly at right angles, and the number of known zeros, are included.
+    The lines include notes on joints that are nearly at right angles, and the number of known
+    zeros.
     """
     tree, g = listing.tree, listing.gravity
     yield f"Equations of {sanitized_text(tree.name)}, {listing.form} form, by testbed"
@@ -178,9 +181,9 @@ def header_lines(listing: Listing, source: str) -> Iterator[str]:
 
 
 def definitions(listing: Listing) -> Iterator[str]:
-    """Yield lines that define the minimal by the barycentric parameters, without comment signs.
+    """Yield lines that define minimal parameters in terms of barycentric parameters.
 
-    No lines for the full form.
+    The lines have no comment signs. There are no lines for the full form.
     """
     for model, minimal in listing.minimal.items():
         yield f"Parameters of the {model} model, delta_{model[0]}:"
@@ -188,7 +191,7 @@ def definitions(listing: Listing) -> Iterator[str]:
 
 
 def operations(each: Equations) -> str:
-    """Operation counts of equations in words."""
+    """Text with the operation counts of equations."""
     count = each.program.count
     text = (
         f"{count.multiplications} multiplications, {count.additions} additions, "
@@ -219,10 +222,10 @@ def function_name(each: Equations) -> str:
 
 
 def input_variables(each: Equations) -> Iterator[tuple[str, str]]:
-    """Input variables of a generated function: name and defining expression.
+    """Yield names and defining expressions of the input variables of a generated function.
 
-    For example qp1 and qp[0], K3d and delta_d[2] / 2, S2 and sin(q2). Only variables that the
-    program uses.
+    Examples are qp1 with qp[0], K3d with delta_d[2] / 2, and S2 with sin(q2). Only variables that
+    the program uses are included.
     """
     program = each.program
     for symbol in program.symbols:
@@ -244,7 +247,10 @@ def input_variables(each: Equations) -> Iterator[tuple[str, str]]:
 
 
 def assignment_texts(each: Equations) -> Iterator[tuple[str, list[str]]]:
-    """Target and terms of each line of a program; results are written as `result[0][1]`."""
+    """Yield target and term texts of each line of a program.
+
+    Results are written as array entries, such as `result[0][1]`.
+    """
     suffixes = {
         name: "".join(f"[{k}]" for k in indices)
         for name, indices in each.result_indices.items()

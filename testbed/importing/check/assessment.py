@@ -1,4 +1,4 @@
-"""Check of a recording against its robot, by force plate and joint torques."""
+"""Check of a recording against its robot, using force plate and joint torques."""
 
 from __future__ import annotations
 
@@ -89,13 +89,15 @@ class Assessment(Diagnosed):
     """Result of the check of a recording against its robot.
 
     Attributes:
-        diagnostics: Errors (certain), warnings (likely), and properties that the data leave open.
-        torque_scales: Torques relative to those of the model file's masses; nan where not
-            identifiable, (n,) or (0,).
+        diagnostics: Errors (certain), warnings (likely), and properties that the data leave
+            undetermined.
+        torque_scales: Torques relative to the prediction from the model file's masses; nan where
+            not identifiable, (n,) or (0,).
         remedies: Corrections of the mapping, to be applied together; empty if nothing is wrong.
         equivalent_explanations: Descriptions of alternative explanations that fit the recording
-            equally well: penalised costs within `MIN_HYPOTHESIS_GAIN` of the best.
-        explanation_as_read: Explanation of the force plate as read; None without a force plate.
+            equally well: their penalised costs are within `MIN_HYPOTHESIS_GAIN` of the best.
+        explanation_as_read: Explanation with the force plate as recorded; None without a force
+            plate.
         best_explanation: Best explanation of the force plate; None without a force plate.
         verdict: Result from the torques of a recording without a force plate; None if nothing can
             be tested.
@@ -123,12 +125,12 @@ class Assessment(Diagnosed):
 
     @property
     def warnings(self) -> tuple[Diagnostic, ...]:
-        """Diagnostics of possible errors, of level warning."""
+        """Diagnostics of possible errors, with level "warning"."""
         return tuple(each for each in self.diagnostics if each.level == "warning")
 
     @property
     def wrench_fit(self) -> WrenchFit | None:
-        """Force plate as read with its best fit; None without a force plate."""
+        """Channels of the force plate as recorded, with best fit; None without a force plate."""
         as_read = self.explanation_as_read
         if as_read is None:
             return None
@@ -157,19 +159,19 @@ class Assessment(Diagnosed):
 def assess_recording(
     tree: Tree, source: Source, progress: Progress | None = None
 ) -> Assessment:
-    """Check a recording against its robot, by force plate and joint torques.
+    """Check a recording against its robot, using force plate and joint torques.
 
-    Spikes end the check. With a force plate, hypotheses on errors of the mapping are searched on
-    signals below 8 Hz, and below 2 Hz if the plate remains unexplained. Joint torques, with or
-    without a plate, are tested by Bayesian evidence (`assess_torques`).
+    If there are spikes, the check ends. With a force plate, hypotheses on errors of the mapping are
+    tested on signals below 8 Hz, and below 2 Hz if the plate remains unexplained. Joint torques,
+    with or without a plate, are tested by Bayesian evidence (`assess_torques`).
 
     Args:
-        tree: Robot, its masses right within a factor of a few.
+        tree: Robot, with masses that are right within a factor of a few.
         source: Recording; at most its middle `MAX_CHECKED_SAMPLES` samples are checked.
-        progress: Called with the number of fitted hypotheses.
+        progress: Callback with the number of fitted hypotheses.
 
     Raises:
-        RecordingError: The recording is of another robot.
+        RecordingError: The recording belongs to another robot.
     """
     check_robot(source, tree)
     tree = with_recorded_gravity(tree, source)
@@ -205,7 +207,7 @@ def assess_recording(
 def _with_faults(
     assessment: Assessment, faults: tuple[ChannelFault, ...]
 ) -> Assessment:
-    """Assessment with the diagnostics of faulty channels in front."""
+    """Assessment with the diagnostics of faulty channels placed first."""
     named = (*(each.diagnostic for each in faults), *assessment.diagnostics)
     return replace(assessment, diagnostics=named, channel_faults=faults)
 
@@ -218,18 +220,19 @@ def _plate_assessment(
     progress: Progress | None,
     faults: Sequence[ChannelFault],
 ) -> Assessment:
-    """Assessment of a recording with a force plate, from signals below a cutoff.
+    """Assessment of a recording with a force plate, from signals below a cutoff frequency.
 
-    The mapping is wrong if the best explanation gains more than 6 nats over the plate as read: a
-    warning, or an error above 12 nats if the improved channels are then explained well. Joint
-    torques test the signs of positions, which may leave the plate's cost equal.
+    The mapping is wrong if the best explanation gains more than 6 nats over the plate as recorded.
+    This is a warning, or an error if the gain exceeds 12 nats and the improved channels are
+    explained well. Joint torques test position signs where a reversed sign leaves the plate's cost
+    equal.
 
     Args:
         tree: Robot.
-        part: Recording, or the middle of a long one.
+        part: Recording, or the middle of a long recording.
         range_diagnostics: Diagnostics of positions out of range.
-        cutoff: Cutoff of the low-pass filter [Hz].
-        progress: Called with the number of fitted hypotheses.
+        cutoff: Cutoff frequency of the low-pass filter [Hz].
+        progress: Callback with the number of fitted hypotheses.
         faults: Faults of single channels.
     """
     mapping = part.metadata.mapping or {}
@@ -316,7 +319,7 @@ def _torque_assessment(
     """Assessment of a recording of joint torques without a force plate.
 
     A recording at rest, or with fewer than `MIN_INSTANTS` instants, is not tested further.
-    Diagnostics of positions out of range are left out if a remedy is found.
+    Diagnostics of positions out of range are omitted if a remedy is found.
     """
     instants = low_passed_instants(part)
     if instants is None:
@@ -345,7 +348,8 @@ def _torques_with_plate_bodies(
 ) -> TorqueAssessment:
     """Assessment of the torques, with positions and bodies as identified by the force plate.
 
-    The posterior of the bodies given the plate is the prior. Empty without torques.
+    The posterior of the bodies given the plate serves as the prior. The result is empty if there
+    are no torques.
     """
     if part.torque is None:
         return TorqueAssessment()
@@ -359,10 +363,10 @@ def _torques_with_plate_bodies(
 
 
 def _joints_with_possible_sign_error(torques: TorqueAssessment) -> list[int]:
-    """Indices of joints whose position sign, not torque sign, may be reversed.
+    """Indices of joints whose position sign, rather than torque sign, may be reversed.
 
-    Joints with an accepted hypothesis `torque_sign`, or more than 10 % of the torque's variance
-    unexplained; empty if the torques are right as given.
+    They are the joints with an accepted hypothesis `torque_sign`, or with more than 10 % of the
+    torque's variance unexplained. The list is empty if the torques are right as given.
     """
     verdict = torques.verdict
     if verdict is None or verdict.outcome == "as given":
@@ -379,7 +383,7 @@ def _torque_gain(other: TorqueAssessment, torques: TorqueAssessment) -> float:
 
     Args:
         other: Assessment under the other positions; -inf unless its torques are right as given.
-        torques: Assessment under the present positions, with its corrections of torques.
+        torques: Assessment under the current positions, with its corrections of torques.
     """
     if other.verdict is None or other.verdict.outcome != "as given":
         return -np.inf
@@ -400,9 +404,10 @@ def _with_fitted_delay(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
 def _explains_well(as_read: Explanation, best: Explanation) -> bool:
     """Test whether all channels that an explanation improves are explained well.
 
-    Improved: the unexplained share falls by more than a factor of 4, from above 3 times the noise
-    share. Explained well: below 0.4 plus 3 times the noise share. False without improved channels.
-    With a shift of the frame, channels below 0.4 as read count as improved.
+    A channel is improved if its unexplained share falls by more than a factor of 4, from above 3
+    times its noise share. It is explained well if this share is below 0.4 plus 3 times the noise
+    share. With a shift of the frame, channels below 0.4 as recorded count as improved. Returns
+    False if no channel is improved.
     """
     before, after = as_read.plate.unexplained, best.plate.unexplained
     noise = best.plate.noise
@@ -421,13 +426,14 @@ def _explains_well(as_read: Explanation, best: Explanation) -> bool:
 def zero_hypothesis(
     best: Explanation, tare: Array | None, min_shift: float = MIN_ZERO_SHIFT
 ) -> Hypothesis | None:
-    """Hypothesis that the force plate's zero differs from the stated one; None if insignificant.
+    """Hypothesis that the force plate's zero differs from the stated zero; None if insignificant.
 
-    A component differs by more than `min_shift` times the robot's weight (moments: at a lever of
-    1 m) and more than 5 standard deviations; the others keep their stated values.
+    A component is changed if it differs by more than `min_shift` times the robot's weight (moments:
+    at a lever of 1 m) and by more than 5 standard deviations; other components keep their stated
+    values.
 
     Args:
-        best: Best explanation of the recording; with a wrench.
+        best: Best explanation of the recording, which has a wrench.
         tare: Stated wrench on the plate without the robot, (6,) [N, N m]; None for the model's
             pedestal.
         min_shift: Least change of the zero relative to the robot's weight.
@@ -451,8 +457,8 @@ def _equivalent_descriptions(
 ) -> Iterator[str]:
     """Yield descriptions of alternative explanations with a similar penalised cost.
 
-    Similar: less than `MIN_HYPOTHESIS_GAIN` above the best. A plate turned about the axis of the
-    only root joint is equivalent to another zero of this joint.
+    A similar cost is less than `MIN_HYPOTHESIS_GAIN` above the best. A plate turned about the axis
+    of the only root joint is equivalent to another zero of this joint.
 
     Args:
         tree: Robot.
@@ -480,5 +486,5 @@ def _equivalent_descriptions(
 
 
 def _signature(explanation: Explanation) -> set[tuple[str, tuple[int, ...]]]:
-    """Set of the kinds and joints of an explanation's hypotheses."""
+    """Set of kind and joints of each hypothesis in an explanation."""
     return {(each.kind, each.joints) for each in explanation.hypotheses}

@@ -1,4 +1,4 @@
-"""Gaussian prior of a robot's bodies about the model file, for Bayesian evidence."""
+"""Gaussian prior of a robot's bodies, centred on the model file, for Bayesian evidence."""
 
 from __future__ import annotations
 
@@ -57,21 +57,21 @@ class BodyPrior:
         """Deviations of the masses from the model file, in prior standard deviations, (n,).
 
         Args:
-            z: Whitened parameters about the prior mean, (10 n,).
+            z: Whitened parameters relative to the prior mean, (10 n,).
         """
         rows = self.root[::10]
         return np.asarray(rows @ z / np.linalg.norm(rows, axis=1))
 
 
 def body_prior(tree: Tree) -> BodyPrior:
-    """Prior of a robot's bodies about its model file.
+    """Prior of a robot's bodies, centred on its model file.
 
-    Standard deviations: 30 % of masses; 2 cm and 20 % of the distance from the joint for centres of
-    mass; 30 % of inertias. Light bodies vary like bodies of 3 % (end bodies 8 %) of the robot's
-    mass.
+    The standard deviations are: 30 % of masses; 2 cm and 20 % of the distance from the joint for
+    centres of mass; 30 % of inertias. Light bodies have the standard deviations of bodies with 3 %
+    (end bodies: 8 %) of the robot's mass.
 
     Args:
-        tree: Robot; without masses, unit masses with a wide prior are used.
+        tree: Robot; if it has no masses, unit masses with a wide prior are used.
     """
     n, total = tree.n, sum(each.mass for each in tree.inertias)
     bodies = [ZERO_INERTIA] * n
@@ -102,10 +102,11 @@ def body_prior(tree: Tree) -> BodyPrior:
 
 
 def _without_placeholder(body: Inertia) -> Inertia:
-    """Body with an implausibly large inertia replaced by one of a plausible size.
+    """Body in which an implausibly large inertia is replaced by a plausible inertia.
 
-    Implausible: radius of gyration above `MAX_GYRATION_RADIUS`. The replacement about the centre of
-    mass is m L^2 about all axes, with L by `_assumed_size`; massless bodies get 1e-6 kg.
+    An inertia is implausible if its radius of gyration exceeds `MAX_GYRATION_RADIUS`. The
+    replacement about the centre of mass is m L^2 about all axes, with the length L from
+    `_assumed_size`; massless bodies get 1e-6 kg.
     """
     mass = max(body.mass, 1e-6)
     if np.trace(body.central) / 2 <= mass * MAX_GYRATION_RADIUS**2:
@@ -118,12 +119,15 @@ def _without_placeholder(body: Inertia) -> Inertia:
 
 
 def _assumed_size(body: Inertia) -> float:
-    """Approximate length of a body [m]: 5 cm plus half the centre of mass's distance."""
+    """Approximate length of a body [m].
+
+    It is 5 cm plus half the distance of the centre of mass from the frame's origin.
+    """
     return 0.05 + 0.5 * float(np.linalg.norm(body.com))
 
 
 def _body_root(body: Inertia, scale_mass: float) -> Array:
-    """Root of the covariance of a body's standard parameters, (10, 10).
+    """Square root of the covariance of a body's standard parameters, (10, 10).
 
     The columns are derivatives with respect to mass, centre of mass (3), and inertia about the
     centre (6), times standard deviations; the rows are m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz
@@ -158,13 +162,13 @@ def _body_root(body: Inertia, scale_mass: float) -> Array:
 def plate_prior(tree: Tree, mean: Array, root: Array) -> BodyPrior:
     """Prior of a robot's bodies from the posterior of a force plate.
 
-    The first whitened parameter scales the mean, by 1 +- 0.1 %; the others vary along `root`. The
-    prior's `root` leads to barycentric parameters here.
+    The first whitened parameter scales the mean, by 1 +- 0.1 %; the others vary along `root`. In
+    this prior, the attribute `root` maps to barycentric instead of standard parameters.
 
     Args:
         tree: Robot.
         mean: Mean of the barycentric parameters, (10 n,).
-        root: Root of the covariance of the barycentric parameters, (10 n, k).
+        root: Square root of the covariance of the barycentric parameters, (10 n, k).
     """
     # the mean as one more column, whose coefficient is one with a small standard deviation
     both = np.column_stack([SCALE_SIGMA * mean, root])

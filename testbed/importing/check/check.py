@@ -1,4 +1,4 @@
-"""Check of a recording against its robot before any estimate."""
+"""Check of a recording against its robot model before any estimation."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ class CheckReport(Diagnosed):
 
     Attributes:
         offsets: Time offsets of torques and wrench.
-        diagnostics: Possible errors, properties that the data leave open, and delayed signals.
+        diagnostics: Possible errors, properties that the data leave undetermined, and delayed
+            signals.
     """
 
     offsets: tuple[TimeOffset, ...] = ()
@@ -70,13 +71,13 @@ class CheckReport(Diagnosed):
 
 @dataclass(frozen=True)
 class PreparedRecordings:
-    """Recordings made by a mapping, with the assessment of the longest recording.
+    """Recordings made with a mapping, and the assessment of the longest recording.
 
     Attributes:
-        recordings: Recordings in order of time.
+        recordings: Recordings in chronological order.
         gap_diagnostics: Diagnostics of gaps at which the data were cut.
         assessment: Assessment of the longest recording; None if not assessed.
-        time_offsets: Time offsets of torques and wrench of the longest recording; None if unknown.
+        time_offsets: Time offsets of torques and wrench in the longest recording; None if unknown.
     """
 
     recordings: tuple[Recording, ...]
@@ -101,21 +102,21 @@ def check_recording(
 ) -> CheckReport:
     """Check a recording against its robot, unless a stored result is still valid.
 
-    A result in the recording's metadata is valid if the `digest` of data, mapping and robot is the
-    same. Delays of torques and wrench are estimated after the search for errors.
+    A result in the recording's metadata is valid if the `digest` of data, mapping and robot is
+    unchanged. Delays of torques and wrench are estimated after the search for errors.
 
     Args:
-        tree: Robot, its masses right within a factor of a few.
+        tree: Robot, with masses that are right within a factor of a few.
         source: Recording.
         align: True if clocks are corrected afterwards: a force plate whose only error is a delay is
             then accepted.
         unchecked: True to accept the recording without the search for errors.
-        progress: Called with the number of fitted hypotheses.
+        progress: Callback with the number of fitted hypotheses.
         prepared: Results already known for the recording.
 
     Raises:
-        RecordingError: The recording contradicts this robot; the message lists corrections. Or the
-            base moves in the recording, but is welded in the model.
+        RecordingError: The recording contradicts this robot, and the message lists corrections; or
+            the base moves in the recording but is welded in the model.
     """
     source = adapt_to_robot(source, tree)
     diagnostics = [] if tree.floating else [*_base_motion_diagnostics(source)]
@@ -153,9 +154,9 @@ def check_recording(
 
 
 def _base_motion_diagnostics(source: Source) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if a base that the model welds moves by over 5 mm.
+    """Yield a diagnostic if a base welded in the model moves by over 5 mm.
 
-    The motion is the diagonal of the box that contains all positions of the base.
+    The motion is measured by the diagonal of the box that contains all positions of the base.
     """
     if "base" not in source.signals:
         return
@@ -174,23 +175,24 @@ def import_and_check(
     progress: Progress | None = None,
     prepared: PreparedRecordings | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:
-    """Import the recordings of a mapping file and check the longest against its robot.
+    """Import the recordings of a mapping file and check the longest one against its robot.
 
-    The result is stored in the metadata of the longest recording, unless `unchecked`. With `align`,
-    the files are read again by a mapping with significant delays and drifts corrected.
+    The result is stored in the metadata of the longest recording, unless `unchecked` is True. If
+    `align` is True and delays or drifts are significant, they are corrected in the mapping, and the
+    files are imported again.
 
     Args:
         path: Mapping file.
-        robot_of: Function from a recording to its robot, with masses right within a factor of a
-            few, and the recording adapted to the robot.
+        robot_of: Function that maps a recording to its robot, with masses that are right within a
+            factor of a few, and to the recording adapted to the robot.
         align: True to correct delays and drifts of clocks.
         unchecked: True to accept the recordings without the search for errors.
-        progress: Called with the number of fitted hypotheses.
+        progress: Callback with the number of fitted hypotheses.
         prepared: Recordings, if already made.
 
     Returns:
-        Recordings (several if a source has long gaps) with the result of the check, diagnostics of
-        the cuts, and the report of the check before clocks are corrected.
+        Recordings (several if a source has long gaps), the longest with the result of the check;
+        diagnostics of the gaps; and the report of the check before clocks are corrected.
 
     Raises:
         ExperimentError: The mapping is invalid.
@@ -242,7 +244,7 @@ def _alignment_lines(offsets: Sequence[TimeOffset], source: Source) -> list[Any]
 
 
 def digest(tree: Tree, source: Source) -> str:
-    """SHA-256 hash of data, mapping and robot, on which a check's result depends.
+    """SHA-256 hash of data, mapping and robot, on which the result of a check depends.
 
     Args:
         tree: Robot.

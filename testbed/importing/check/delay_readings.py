@@ -1,4 +1,4 @@
-"""Interpretations (readings) of a log in which the torques are delayed or low-passed."""
+"""Interpretations of a log in which the torques are delayed or low-pass filtered."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Delay(NamedTuple):
 
 
 def delay_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Yield the likeliest delay and the likeliest first-order lag of all torques.
+    """Yield interpretations with the likeliest delay and first-order lag of all torques.
 
-    Each candidate of `DELAYS` or `LAGS` is removed from the torques of all joints; the candidate
+    Each candidate in `DELAYS` or `LAGS` is removed from the torques of all joints; the candidate
     with the largest log evidence is yielded.
 
     Args:
@@ -76,7 +76,7 @@ def delay_readings(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def _corrected_torques(case: TorqueCase, kind: str, value: float) -> Array:
-    """Torques of all joints with a delay or a first-order lag removed, (n, T).
+    """Joint torques with a delay or a first-order lag removed, (n, T), at T instants.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -90,13 +90,14 @@ def _corrected_torques(case: TorqueCase, kind: str, value: float) -> Array:
 def common_delay(case: TorqueCase, reading: LogReading) -> Delay:
     """Random-effects mean of the joints' delays, or of the time constants of their lags [s].
 
-    Each joint's delay is estimated in both halves of the log, at the maximum of the likelihood over
-    the candidates: model errors look like delays, too (1.5 % of a speed of 1 rad/s like 15 ms), but
-    not equal ones at all joints.
+    Each joint's delay is estimated in both halves of the log, as the candidate of maximum
+    likelihood. Model errors resemble delays, too (1.5 % of a speed of 1 rad/s resembles 15 ms), but
+    they do not resemble equal delays at all joints.
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        reading: Reading with delayed torques (kind "delay") or low-passed ones ("lag").
+        reading: Interpretation with torques that are delayed (kind "delay") or low-pass filtered
+            (kind "lag").
     """
     candidates = np.sort(np.append(LAGS if reading.kind == "lag" else DELAYS, 0.0))
     halves = np.array_split(np.arange(len(case.signals.sample_indices)), 2)
@@ -123,12 +124,12 @@ def common_delay(case: TorqueCase, reading: LogReading) -> Delay:
 def _random_effects(value: Array, sigma: Array, attempts: int) -> Delay:
     """Random-effects mean of delays, and the standard deviation of this mean [DL86].
 
-    With fewer than two estimates, zero with an infinite standard deviation.
+    For fewer than two estimates, the mean is zero and its standard deviation infinite.
 
     Args:
         value: Estimated delays, (k,) [s].
         sigma: Standard deviations of the estimates, (k,) [s].
-        attempts: Number of estimates attempted, at least k: 70 % must have the mean's sign.
+        attempts: Number of attempted estimates, at least k; 70 % of it must have the mean's sign.
     """
     if len(value) < 2:
         return Delay(0.0, np.inf, is_significant=False)
@@ -146,9 +147,9 @@ def _random_effects(value: Array, sigma: Array, attempts: int) -> Delay:
 
 
 def _peak(grid: Array, log: Array) -> tuple[float, float]:
-    """Maximum of a log likelihood by a parabola, and standard deviation from its curvature.
+    """Maximum of a log likelihood from a parabola, and standard deviation from its curvature.
 
-    The parabola passes through the largest value and its neighbours on the grid; the standard
+    The parabola passes through the largest value on the grid and its neighbours; the standard
     deviation is infinite if the parabola has no maximum.
 
     Args:

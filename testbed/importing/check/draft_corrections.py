@@ -1,4 +1,4 @@
-"""Corrections of a draft mapping: delays, and frame and zero of a force plate."""
+"""Corrections of a draft mapping: delays, and the frame and zero of a force plate."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ quantile of the chi-squared distribution with three degrees of freedom."""
 def with_clocks(
     draft: MappingDraft, source: Source, offsets: Sequence[TimeOffset]
 ) -> MappingDraft:
-    """Draft with significant delays and drifts of clocks corrected.
+    """Draft in which significant delays and drifts of clocks are corrected.
 
     Args:
         draft: Draft of the mapping.
-        source: Recording made by this draft.
-        offsets: Estimated delays and drifts; others than significant ones change nothing.
+        source: Recording made with this draft.
+        offsets: Estimated delays and drifts; insignificant ones have no effect.
     """
     content = draft.content
     for each in offsets:
@@ -68,16 +68,16 @@ def with_clocks(
 def with_delay(
     draft: MappingDraft, signal: str, delay: float, sigma: float
 ) -> MappingDraft:
-    """Draft with a signal's delay [s], or the offset of its separate clock.
+    """Draft with a signal's delay [s], or with the offset of its separate clock.
 
-    For a source other than the positions', the delay is subtracted from the source's `offset`, and
-    the signal's key `delay` is removed.
+    If the signal's source differs from that of the positions, the delay is subtracted from the
+    source's `offset`, and the signal's key `delay` is removed.
 
     Args:
         draft: Draft of the mapping.
         signal: Table of the signal.
-        delay: Delay, which replaces a stated one [s].
-        sigma: Standard deviation, for the note [s].
+        delay: Delay, which replaces the stated delay [s].
+        sigma: Standard deviation, for the comment [s].
     """
     source = draft.tables[signal]["source"]
     table, key, value = signal, "delay", round(delay, 7)
@@ -91,15 +91,15 @@ def with_delay(
 
 
 def with_plate_correction(draft: MappingDraft, best: Explanation) -> MappingDraft:
-    """Draft with frame, delay and zero of a plate as determined by the data.
+    """Draft with frame, delay and zero of a plate as determined from the data.
 
     Corrections are estimated by `PlateEvidence.frame_correction`; angles are rounded to multiples
-    of 90, 45, 30 or 15 deg if consistent with the data. A plate with the positions' clock gets a
-    delay only beyond 4 standard deviations. The ratio of units is only noted.
+    of 90, 45, 30 or 15 deg if consistent with the data. A plate that shares the positions' clock
+    gets a delay only beyond 4 standard deviations. The ratio of units is only stated in a comment.
 
     Args:
         draft: Draft of the mapping.
-        best: Explanation of the recording made by this draft.
+        best: Best explanation (plate map and hypotheses) of the recording made with this draft.
     """
     table = draft.tables.get("wrench")
     if table is None:
@@ -139,7 +139,7 @@ def with_plate_correction(draft: MappingDraft, best: Explanation) -> MappingDraf
 def _with_place(
     draft: MappingDraft, rotation: Array, xyz: Array, rpy: Sequence[float], sigma: Array
 ) -> MappingDraft:
-    """Draft with a plate's origin and rounded angles, with a note on their uncertainty.
+    """Draft with a plate's origin and rounded angles, and with a comment on their uncertainty.
 
     Args:
         draft: Draft of the mapping.
@@ -169,10 +169,14 @@ def _with_place(
 
 
 def with_plate_zero(draft: MappingDraft, best: Explanation) -> MappingDraft:
-    """Draft with the wrench on the plate without the robot as `tare`, if significant.
+    """Draft in which `tare` is the plate's wrench without the robot, if significant.
 
-    Significant: a component differs from the stated tare, or else from the model's pedestal, by
-    more than 5 standard deviations.
+    It is significant if a component differs by more than 5 standard deviations from the stated tare
+    or, by default, from the wrench of the model's pedestal.
+
+    Args:
+        draft: Draft of the mapping.
+        best: Best explanation (plate map and hypotheses) of the recording made with this draft.
     """
     table = MappingFile.model_validate(draft.content).wrench
     zero = (
@@ -192,7 +196,7 @@ def with_tare(draft: MappingDraft, tare: list[float], note: str) -> MappingDraft
     Args:
         draft: Draft of the mapping.
         tare: Wrench on the plate without the robot, pedestal included, (6,) [N, N m].
-        note: Comment beside the value.
+        note: Comment at the end of the line.
     """
     included = draft.tables["wrench"].get("pedestal") == "included"
     draft = draft.with_key("wrench", "pedestal", None) if included else draft
@@ -202,8 +206,8 @@ def with_tare(draft: MappingDraft, tare: list[float], note: str) -> MappingDraft
 def _rounded_angles(rotation: Array, covariance: Array) -> Sequence[float]:
     """Roll, pitch and yaw [rad], rounded to common steps if consistent with the covariance.
 
-    The largest of the steps 90, 45, 30 and 15 deg is taken whose rotation is within the 99.7 %
-    ellipsoid.
+    The largest step out of 90, 45, 30 and 15 deg is taken for which the rounded rotation is within
+    the 99.7 % confidence ellipsoid.
 
     Args:
         rotation: Rotation matrix, (3, 3).

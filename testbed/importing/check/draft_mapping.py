@@ -1,4 +1,4 @@
-"""Draft of a mapping file from column names, for the logged joints of a robot."""
+"""Draft of a mapping file from column names, for the recorded joints of a robot."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ NOTE_PREFIXES = (ASSUMED_NOTE, "solved", "by the data")
 def draft_mapping(
     paths: Sequence[Path], folder: Path, file: ModelFile
 ) -> tuple[MappingDraft, ModelFile, Tree]:
-    """Draft a mapping file from column names, and reduce the robot to logged joints.
+    """Draft a mapping file from column names, and reduce the robot to recorded joints.
 
     A floating root is welded unless the model file states otherwise. Joints without a column are
-    locked at their rest position; none are locked if the columns' joints are not the robot's.
+    locked at their rest position; no joints are locked if the columns belong to joints that the
+    robot does not have.
 
     Args:
         paths: Files of other programs.
@@ -69,9 +70,9 @@ def draft_mapping(
 
 
 def missing_keys(draft: MappingDraft) -> list[str]:
-    """Empty keys of a mapping file, which the user must fill in.
+    """Names of empty keys in a mapping file, which the user must fill in.
 
-    These include clocks without a `rate`, and `position` if this table is missing.
+    They include clocks without a `rate`, and `position` if this table is missing.
 
     Args:
         draft: Draft of a mapping.
@@ -88,7 +89,7 @@ def missing_keys(draft: MappingDraft) -> list[str]:
 
 
 def note_rows(draft: MappingDraft) -> list[tuple[str, str, str]]:
-    """Rows of key, value and note for all values that were assumed or solved.
+    """Rows of key, value and comment for all values that were assumed or solved.
 
     Args:
         draft: Draft of a mapping.

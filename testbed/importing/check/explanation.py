@@ -1,7 +1,8 @@
 """Explanations of a force plate's data by hypotheses, and their cost.
 
-The regressor is computed once for positions as read; maps of the plate's channels are then compared
-by linear algebra.
+An explanation is a map of the plate's channels together with hypotheses on mapping errors. The
+regressor is computed once for each set of positions; maps of the channels are then compared by
+linear algebra.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Explanation:
     """Explanation of a force plate's data by hypotheses on positions and on the plate.
 
     Attributes:
-        fit: Evidence for the plate's maps under hypotheses on positions and clocks.
+        fit: Fits of the plate's data under hypotheses on positions and clocks.
         plate: Map of the plate's channels, with its residual and cost.
     """
 
@@ -64,9 +65,9 @@ class Explanation:
 
     @property
     def hypothesis_count(self) -> int:
-        """Number of hypotheses, with signs and zeros of single joints counted separately.
+        """Number of hypotheses; signs and zeros of single joints are counted separately.
 
-        A sign or zero of all joints together counts as one.
+        A sign or zero of all joints together counts once.
         """
         joint_count = len(joints_without_free_base(self.fit.prior.tree))
         joint_kinds = ("position_sign", "zero")
@@ -79,7 +80,7 @@ class Explanation:
 
 
 def rank_explanations(explanations: Iterable[Explanation]) -> list[Explanation]:
-    """Explanations sorted by increasing penalised cost.
+    """Sort explanations by increasing penalised cost.
 
     Args:
         explanations: Explanations in any order.
@@ -93,7 +94,7 @@ class HypothesisFit:
     Attributes:
         prior: Prior of the robot's parameters.
         hypotheses: Hypotheses on positions and clocks.
-        instants: Signals of the recording, corrected by the hypotheses.
+        instants: Signals of the recording, corrected according to the hypotheses.
         plate: Evidence for maps of the plate's channels.
     """
 
@@ -108,9 +109,9 @@ class HypothesisFit:
 
         Args:
             prior: Prior of the robot's parameters.
-            frame: Frame and units by which the mapping reads the plate.
+            frame: Frame and units of the plate according to the mapping.
             hypotheses: Hypotheses on positions and clocks.
-            instants: Signals of the recording, corrected by the hypotheses.
+            instants: Signals of the recording, corrected according to the hypotheses.
         """
         self.prior, self.hypotheses, self.instants = prior, hypotheses, instants
         tree = prior.tree
@@ -120,15 +121,15 @@ class HypothesisFit:
 
     @cached_property
     def approximate_cost(self) -> float:
-        """Approximate cost of the best explanation over all linear maps of the plate [nats]."""
+        """Approximate cost of the best fit over all linear maps of the plate [nats]."""
         return 3 * LOG_RESIDUAL_WEIGHT * float(np.log(self.plate.least_residual_share))
 
     @cached_property
     def explanations(self) -> list[Explanation]:
-        """Explanations under these positions: the best maps of the plate's channels."""
+        """Explanations under these hypotheses on positions, one for each of the best plate maps."""
         return [Explanation(self, plate) for plate in self.plate.explanations]
 
     @cached_property
     def explanation_as_read(self) -> Explanation:
-        """Explanation of the plate as read, without hypotheses on the plate."""
+        """Explanation with the plate as recorded, without hypotheses on the plate."""
         return Explanation(self, self.plate.explanation_as_read)

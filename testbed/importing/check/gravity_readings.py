@@ -1,4 +1,4 @@
-"""Interpretations (readings) of a log with another direction or size of gravity, or none."""
+"""Interpretations of a log with another direction or size of gravity, or without gravity."""
 
 from __future__ import annotations
 
@@ -52,16 +52,20 @@ robots: model errors are correlated over longer times than residuals show."""
 
 
 def tangent_basis(direction: Array) -> Array:
-    """Orthonormal tangent vectors of the unit sphere at a direction, (3, 2)."""
+    """Orthonormal tangent vectors of the unit sphere at a direction, (3, 2).
+
+    Args:
+        direction: Unit vector, (3,).
+    """
     return np.asarray(np.linalg.svd(direction[None])[2][1:].T)
 
 
 def gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Yield readings with another direction or magnitude of gravity.
+    """Yield interpretations of the log with another direction or magnitude of gravity.
 
-    First without gravity; then with the directions of locally maximal evidence, the likeliest first
-    and more than 3 deg apart; last with a part of the stated gravity. Robots with many joints:
-    gravity along the base axes alone (`_axis_readings`).
+    The order is: no gravity; the directions of locally maximal evidence that are more than 3 deg
+    apart, the likeliest first; and only a part of the stated gravity. For robots with many joints,
+    only gravity along the base axes is tested (`_axis_readings`).
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -92,9 +96,9 @@ def gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def _axis_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Yield readings without gravity, and with gravity along each base axis.
+    """Yield interpretations of the log without gravity, and with gravity along each base axis.
 
-    Axes within 3 deg of the stated gravity are left out.
+    Axes within 3 deg of the stated gravity are omitted.
     """
     directions = {"no gravity": np.zeros(3)} | GRAVITY_DIRECTIONS
     for kind, direction in directions.items():
@@ -116,9 +120,9 @@ def _axis_readings(case: TorqueCase) -> Iterator[LogReading]:
 def _start_vectors(case: TorqueCase, none: Evidence) -> Iterator[Array]:
     """Yield start vectors of the direction search: stated gravity, linear solution, two axes.
 
-    All have the magnitude of the stated gravity [m/s^2]. The linear solution is one Gauss-Newton
-    step from zero gravity; the two base axes have the largest evidence. Gravity along -z replaces
-    a stated gravity of zero.
+    They have the magnitude of the stated gravity [m/s^2]. The linear solution is one Gauss-Newton
+    step from zero gravity; the two axes are the base axes with the largest evidence. If the stated
+    gravity is zero, gravity along -z replaces it.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -149,7 +153,7 @@ def _start_vectors(case: TorqueCase, none: Evidence) -> Iterator[Array]:
 
 
 def _ridge(information: Array) -> Array:
-    """Small multiple of the identity, relative to a matrix's trace, that makes it invertible."""
+    """Small multiple of the identity, relative to a matrix's trace, that ensures invertibility."""
     size = len(information)
     return np.asarray((1e-9 * np.trace(information) + 1e-12) * np.eye(size))
 
@@ -200,8 +204,8 @@ def _line_search(
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        gravity: Present gravity, (3,) [m/s^2].
-        estimate: Evidence at the present gravity.
+        gravity: Current gravity, (3,) [m/s^2].
+        estimate: Evidence at the current gravity.
         step: Change of gravity, (3,) [m/s^2].
         free: Free quantity: "direction" or "size" (magnitude).
     """
@@ -219,7 +223,7 @@ def _line_search(
 def _gravity_reading(
     case: TorqueCase, gravity: Array, estimate: Evidence, kind: str, odds: float
 ) -> LogReading:
-    """Reading of the log under another gravity, with its log prior odds."""
+    """Interpretation of the log with another gravity, and its log prior odds."""
     value = tuple(np.round(gravity, 4).tolist())
     return LogReading(
         (Hypothesis("gravity", (), value),),
@@ -234,11 +238,11 @@ def _gravity_reading(
 def _direction_reading(
     case: TorqueCase, gravity: Array, estimate: Evidence, information: Array
 ) -> LogReading:
-    """Reading with another direction of gravity, classified by its likeliest prior.
+    """Interpretation of the log with another gravity direction, classified by its likeliest prior.
 
-    Priors: a tilt from the stated gravity or a mounting, each with 4 deg standard deviation, or an
-    inclined base, uniform over the sphere. Laplace approximation: the log odds contain the prior
-    density at the direction and the posterior volume.
+    The priors are a tilt from the stated gravity or from a mounting, each with a standard deviation
+    of 4 deg, and an inclined base, which is uniform over the sphere. In a Laplace approximation,
+    the log odds contain the prior density at the direction and the posterior volume.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -277,9 +281,9 @@ def _direction_reading(
 
 
 def _partial_gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Yield the reading in which only a part of gravity is in the torques.
+    """Yield the interpretation in which the torques contain only a fraction of gravity.
 
-    The part is fitted; it must be between -0.1 and 0.9, with a standard deviation below 0.2.
+    The fraction is fitted; it must be between -0.1 and 0.9, with a standard deviation below 0.2.
     """
     gravity, estimate, information = _optimal_gravity(case, 0.5 * case.gravity, "size")
     ratio = float(gravity @ case.gravity) / case.gravity_magnitude**2
@@ -291,12 +295,12 @@ def _partial_gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def rounded_to_axis(reading: LogReading) -> LogReading:
-    """Reading with gravity rounded to the nearest base axis, if within its uncertainty.
+    """Interpretation with gravity rounded to the nearest base axis, if within its uncertainty.
 
-    Within: an angle of at most 0.5 deg or 2 standard deviations, whichever is larger.
+    The angle to the axis must be at most 0.5 deg or 2 standard deviations, whichever is larger.
 
     Args:
-        reading: Reading of gravity's direction, with its standard deviations.
+        reading: Interpretation with a direction of gravity and its standard deviations.
     """
     size = float(np.linalg.norm(reading.gravity))
     nearest = max(
@@ -314,15 +318,15 @@ def rounded_to_axis(reading: LogReading) -> LogReading:
 
 
 def with_dispersion(case: TorqueCase, reading: LogReading) -> LogReading:
-    """Reading with standard deviations increased by the dispersion between joints.
+    """Interpretation with standard deviations increased by the dispersion between joints.
 
-    Jackknife: the direction estimated without each joint is compared with the direction from all
-    joints. The variance is multiplied by 1.6, and by the mean normalised square of these shifts if
-    that is above one.
+    By the jackknife method, the direction estimated without each joint is compared with the
+    direction from all joints. The variance is multiplied by 1.6, and by the mean normalised square
+    of these shifts if that exceeds one.
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        reading: Reading of gravity's direction.
+        reading: Interpretation with a direction of gravity.
     """
     size, products = case.gravity_magnitude, reading.products
     tangents = tangent_basis(reading.gravity / size) * size
@@ -351,9 +355,9 @@ def _jackknife_shift(
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        reading: Reading of gravity's direction from all channels.
+        reading: Interpretation with the direction of gravity from all channels.
         tangents: Derivatives of gravity with respect to two angles, (3, 2) [m/s^2].
-        channel: Index of the torque channel that is left out.
+        channel: Index of the omitted torque channel.
     """
     products, gravity = reading.products, reading.gravity
     for _ in range(3):

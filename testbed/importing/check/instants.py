@@ -1,4 +1,4 @@
-"""Low-passed signals of a recording, and derivatives, at a few hundred instants."""
+"""Low-pass filtered signals of a recording, and derivatives, at a few hundred instants."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class Instants:
     """Signals at T instants of a recording.
 
     Attributes:
-        motion: Low-passed joint positions, velocities and accelerations.
-        wrench: Low-passed wrench on the robot in the bedplate frame, (T, 6) [N, N m]; (T, 0)
+        motion: Low-pass filtered joint positions, velocities and accelerations.
+        wrench: Low-pass filtered wrench on the robot in the bedplate frame, (T, 6) [N, N m]; (T, 0)
             without a force plate.
         wrench_rate: Time derivative of the wrench, (T, 6) [N/s, N m/s], or (T, 0).
-        wrench_noise: Noise variance of the low-passed wrench, from the octave above the cutoff,
-            (6,) or (0,).
+        wrench_noise: Noise variance of the filtered wrench, from the octave above the cutoff, (6,)
+            or (0,).
         spacing: Time between instants [s].
     """
 
@@ -65,15 +65,15 @@ class Instants:
 def low_passed_instants(
     recording: Recording, wrench_delay: float = 0.0, cutoff: float = CUTOFF
 ) -> Instants | None:
-    """Low-passed signals at a few hundred instants; None for too short a recording.
+    """Low-pass filtered signals at a few hundred instants; None for too short a recording.
 
-    Instants are equidistant, at most 320, and at most two per period of the cutoff; fewer than 20
-    are too few.
+    The instants are equidistant, at most 320, and at most two per period of the cutoff frequency;
+    fewer than 20 are too few.
 
     Args:
         recording: Recording of M samples.
         wrench_delay: Delay of the wrench, which is corrected [s].
-        cutoff: Cutoff of the low-pass filter [Hz].
+        cutoff: Cutoff frequency of the low-pass filter [Hz].
     """
     rate = recording.rate
     limited_cutoff = min(cutoff, rate / 6)
@@ -116,7 +116,7 @@ def middle_part(source: Source, samples: int) -> Recording:
 def low_passed_motion(
     recording: Recording, taps: Array, at: slice | NDArray[np.intp], spacing: float
 ) -> Motion:
-    """Low-passed positions with velocities and accelerations at selected samples.
+    """Low-pass filtered positions with velocities and accelerations at selected samples.
 
     Args:
         recording: Recording of M samples.
@@ -129,7 +129,9 @@ def low_passed_motion(
 
 
 def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Array:
-    """Filter and downsample a signal without padding: L samples at either end are lost.
+    """Filter and downsample a signal without padding.
+
+    L samples at either end are lost, where L is the half-length of the filter.
 
     Args:
         signal: Signal, (M, k).
@@ -142,12 +144,13 @@ def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Arr
 
 
 def orthonormal_basis(columns: Array, tolerance: float = RANK_TOLERANCE) -> Array:
-    """Orthonormal basis of the column space of a matrix, by singular values of unit columns.
+    """Orthonormal basis of the column space of a matrix, from singular values of unit columns.
 
-    Columns that depend on others, as a first rotor's, add no direction: it would be rounding noise.
+    Columns that depend on others, such as that of a first rotor, add no direction, which would be
+    rounding noise.
 
     Args:
-        columns: Matrix, (k, N), columns of any norm.
+        columns: Matrix, (k, N), with columns of any norm.
         tolerance: Singular value, relative to the largest, below which a direction is dropped.
     """
     from scipy.linalg import orth
@@ -162,19 +165,20 @@ def orthonormal_basis(columns: Array, tolerance: float = RANK_TOLERANCE) -> Arra
 def estimated_delay(
     columns: Array, signal: Array, spacing: float
 ) -> tuple[float, float]:
-    """Delay of a signal relative to columns by least squares, and ratio of residuals.
+    """Delay of a signal relative to a linear model by least squares; ratio of residuals.
 
-    The residual is computed for all shifts by whole rows at once, from correlations with an
-    orthonormal basis of the columns. Rows of zeros do not count.
+    The residuals for all shifts by whole rows are computed at once, from correlations with an
+    orthonormal basis of the columns. Rows of zeros are ignored.
 
     Args:
-        columns: Columns of the linear model, (T, C, N).
+        columns: Columns of the linear model with T rows, C channels and N columns, (T, C, N).
         signal: Signal, (T, C).
         spacing: Time between rows [s].
 
     Returns:
-        Delay [s], and residual sum of squares relative to that without a delay. (0, 1) if the ratio
-        exceeds `MAX_RESIDUAL_RATIO`, or the minimum is at the end of the search.
+        Delay [s], and ratio of the residual sums of squares with and without the delay. The result
+        is (0, 1) if the ratio exceeds `MAX_RESIDUAL_RATIO` or the minimum is at the end of the
+        search.
     """
     max_shift = int(min(MAX_DELAY / spacing, MAX_DELAY_SHARE * len(signal)))
     rows = columns[max_shift : len(columns) - max_shift]
@@ -198,9 +202,9 @@ def _noise_variance(signal: Array, low_pass: Array, wider: Array) -> Array:
     """Variance of a signal in the octave above the low-pass cutoff, taken as noise, (C,).
 
     Args:
-        signal: Signal, (M, C).
+        signal: Signal of C channels, (M, C).
         low_pass: Weights of the low-pass filter, (2 L + 1,).
-        wider: Weights of the filter with twice the cutoff, not longer.
+        wider: Weights of the filter with twice the cutoff frequency, not longer than `low_pass`.
     """
     band = -low_pass
     margin = (len(low_pass) - len(wider)) // 2

@@ -1,8 +1,8 @@
-"""Solution of a mapping file: values left open by column names, solved from the data.
+"""Solution of a mapping file: values missing in column names are solved from data.
 
-Open values are set to usual ones, the recording is made, and the mapping is corrected by the
-assessment until it finds no error. Then the clocks are aligned (`time_offset`), and the plate's
-frame is refined (`draft_corrections`). A note beside each value states its origin.
+These open values are set to usual values, the recording is made, and the mapping is corrected until
+the assessment finds no error. Then the clocks are aligned (`time_offset`), and the plate's frame is
+refined (`draft_corrections`). A comment on each value states its origin.
 """
 
 from __future__ import annotations
@@ -87,10 +87,11 @@ class MappingSolution(Diagnosed):
     Attributes:
         draft: Mapping; keys remain empty where no columns or no clock were found.
         diagnostics: Possible errors of the mapping.
-        initial_fit: Fit of the plate by column names alone; None without a plate.
-        final_fit: Fit of the plate by the solved mapping; None without a plate.
+        initial_fit: Fit of the plate with the mapping from column names alone; None without a
+            plate.
+        final_fit: Fit of the plate with the solved mapping; None without a plate.
         error: Error that contradicts the mapping solved so far; None without an error.
-        prepared: Recordings made by this mapping; None if it was refined afterwards.
+        prepared: Recordings made with this mapping; None if it was refined afterwards.
     """
 
     draft: MappingDraft
@@ -106,15 +107,16 @@ def solve_mapping(
 ) -> MappingSolution:
     """Solve the open values of a mapping from column names and data.
 
-    Open values get usual ones; the recording is made and assessed, and the mapping corrected, up to
-    four times. Then clocks are aligned and the plate's frame is refined. Errors are returned in the
-    solution. A draft with missing keys is returned with usual values only.
+    Values that column names do not state are set to usual values. The recording is made and
+    assessed, and the mapping corrected, up to four times. Then clocks are aligned and the plate's
+    frame is refined. Errors are returned in the solution. A draft with missing keys is returned
+    with usual values only.
 
     Args:
-        draft: Draft of the mapping by column names.
-        out: Path of the mapping file; files are relative to its folder.
-        tree: Robot, its masses right within a factor of a few.
-        progress: Called with the number of fitted hypotheses.
+        draft: Draft of the mapping from column names.
+        out: Path of the mapping file; its file names are relative to the folder of this path.
+        tree: Robot, with masses that are right within a factor of a few.
+        progress: Callback with the number of fitted hypotheses.
     """
     draft = _with_usual_values(draft, tree)
     if missing_keys(draft):
@@ -165,16 +167,17 @@ def solve_mapping(
 
 
 def _checked_mapping(draft: MappingDraft, out: Path) -> MappingFile:
-    """Validated mapping file of a draft."""
+    """Validated mapping file from a draft."""
     return validate_tables(MappingFile, draft.content, str(out))
 
 
 def _assess_draft(
     draft: MappingDraft, out: Path, tree: Tree, progress: Progress | None
 ) -> tuple[MappingDraft, PreparedRecordings, Assessment]:
-    """Correct a draft by derivatives, make its recordings, and assess the longest.
+    """Correct a draft from derivatives, make its recordings, and assess the longest one.
 
-    Positions that contradict measured velocities or accelerations correct units, signs and orders.
+    If positions contradict measured velocities or accelerations, units, signs and orders are
+    corrected.
 
     Raises:
         DerivativeError: The contradiction has no correction.
@@ -197,10 +200,10 @@ def _assess_draft(
 
 
 def _with_usual_values(draft: MappingDraft, tree: Tree) -> MappingDraft:
-    """Draft with usual units, gains and senses for all open values, with notes "ASSUMED".
+    """Draft with usual units, gains and senses for all open values, commented as "ASSUMED".
 
-    Units are `USUAL_UNITS` by type of joint; gains of torques 1 N m; wrenches in N and N m, acting
-    on the robot.
+    Units are `USUAL_UNITS` according to the type of joint; torque gains are 1 N m; wrenches are in
+    N and N m, acting on the robot.
     """
     sliding = {joint.name for joint in tree.joints if not joint.revolute}
     joints = draft.tables[""]["joints"]
@@ -234,9 +237,10 @@ def _with_usual_values(draft: MappingDraft, tree: Tree) -> MappingDraft:
 
 
 def _with_common_start(draft: MappingDraft, out: Path) -> MappingDraft:
-    """Draft in which the clocks of files with little overlap start together with the positions.
+    """Draft in which clocks of files with little overlap start together with the positions.
 
-    Little: the common duration with the positions is below 90 % of the shorter of both files.
+    The overlap is little if the common duration with the positions is below 90 % of the duration of
+    the shorter file.
     """
     mapping = _checked_mapping(draft, out)
     ranges = source_time_ranges(mapping, out.parent)
@@ -253,10 +257,10 @@ def _with_common_start(draft: MappingDraft, out: Path) -> MappingDraft:
 def _improved_draft(
     draft: MappingDraft, assessment: Assessment, tree: Tree
 ) -> MappingDraft:
-    """Draft corrected by the assessment; the same object if nothing is to be corrected.
+    """Draft corrected by the assessment; the same object if no correction is needed.
 
-    Without a stated `tare`, the plate's zero or pedestal is solved first; then the remedies are
-    applied; without remedies, the unit or gains of torques are solved.
+    If no `tare` is stated, the plate's zero or pedestal is solved first. Then the remedies are
+    applied; if there are no remedies, the unit or gains of torques are solved.
     """
     codes, best = {each.code for each in assessment.errors}, assessment.best_explanation
     plate = draft.tables.get("wrench", {"tare": None})
@@ -278,11 +282,11 @@ def _improved_draft(
 def _with_torque_scale(
     draft: MappingDraft, assessment: Assessment, tree: Tree
 ) -> MappingDraft:
-    """Draft with the unit or the gains of torques, by their size.
+    """Draft with the unit or the gains of torques deduced from the torques' size.
 
-    The size is the median ratio to the torques of the model file's masses. An assumed unit becomes
-    N mm for ratios of 500 to 2000, and raw (currents) for ratios below 1, if an error is diagnosed.
-    Gains equal to 1 are replaced by the inverse ratios.
+    The size is the median ratio to the torques predicted from the model file's masses. If an error
+    is diagnosed, an assumed unit becomes N mm for ratios of 500 to 2000, and raw (currents) for
+    ratios below 1. Gains equal to 1 are replaced by the inverse ratios.
     """
     best, finite = (
         assessment.best_explanation,
@@ -309,11 +313,12 @@ def _with_torque_scale(
 def _with_gains(
     draft: MappingDraft, sizes: Array, tree: Tree, origin: str
 ) -> MappingDraft:
-    """Draft with torque gains by a force plate or the model file's masses.
+    """Draft with torque gains determined from a force plate or the model file's masses.
 
     Args:
         draft: Draft of the mapping.
-        sizes: Columns relative to the joints' torques, (n,); nan if unknown, then the median.
+        sizes: Ratios of the columns to the joint torques, (n,); nan, replaced by the median, if
+            unknown.
         tree: Robot.
         origin: Origin of the sizes: "plate" or "model".
     """
@@ -330,12 +335,12 @@ def _with_gains(
 def _with_pedestal(
     draft: MappingDraft, masses: tuple[float, float, float]
 ) -> MappingDraft:
-    """Draft that states whether a plate's reading contains the pedestal, by masses.
+    """Draft that states, based on masses, whether a plate's wrench includes the pedestal.
 
     Args:
         draft: Draft of the mapping.
-        masses: Masses of the robot if the reading contains the pedestal, if not, and by the model
-            file [kg].
+        masses: Mass of the robot if the wrench includes the pedestal, mass if it does not, and mass
+            in the model file [kg].
     """
     included, without, file = masses
     value = "removed" if is_pedestal_removed(*masses) else "included"
@@ -349,7 +354,7 @@ def _with_pedestal(
 
 
 def _with_remedies(draft: MappingDraft, assessment: Assessment) -> MappingDraft:
-    """Draft with the remedies of an assessment, and notes on their effect."""
+    """Draft with the remedies of an assessment, and comments on their effect."""
     for each in assessment.remedies:
         if each.kind == "torque_size":  # corrected by `_with_torque_scale`
             continue
@@ -368,7 +373,7 @@ def _with_remedies(draft: MappingDraft, assessment: Assessment) -> MappingDraft:
 
 
 def _with_rate_units(draft: MappingDraft, unit: str | list[str]) -> MappingDraft:
-    """Draft with assumed units of derivatives matched to the unit of positions."""
+    """Draft in which assumed units of derivatives match the unit of the positions."""
     for kind, ending in (("velocity", "/s"), ("acceleration", "/s^2")):
         if draft.key_comments.get((kind, "unit")) == ASSUMED_NOTE:
             is_list = isinstance(unit, list)
@@ -382,9 +387,10 @@ def _with_rate_units(draft: MappingDraft, unit: str | list[str]) -> MappingDraft
 def _with_data_notes(
     draft: MappingDraft, best: Explanation, doubts: Sequence[Diagnostic]
 ) -> MappingDraft:
-    """Draft with notes on assumed values that a plate's data confirm.
+    """Draft with comments on assumed values that a plate's data confirm.
 
-    Unchanged if a diagnostic is a warning; the gain of torques is not confirmed by a plate.
+    The draft is unchanged if a diagnostic is a warning; a plate does not confirm the gain of
+    torques.
     """
     if any(each.level == "warning" for each in doubts):
         return draft
@@ -402,7 +408,8 @@ def _with_data_notes(
 def _length_diagnostics(tree: Tree, assessment: Assessment) -> Iterator[Diagnostic]:
     """Yield a diagnostic for a recording too short for its number of parameters.
 
-    Too short: at most 10 values (channels times instants) per minimal parameter of the wrench.
+    It is too short if it has at most 10 values (channels times instants) per minimal parameter of
+    the wrench.
     """
     parameters = minimal_set(tree, "wrench").count
     if assessment.best_explanation is not None:
@@ -423,7 +430,7 @@ def _length_diagnostics(tree: Tree, assessment: Assessment) -> Iterator[Diagnost
 
 
 def _with_notes_as_assumed(draft: MappingDraft) -> MappingDraft:
-    """Draft in which solved values are marked as assumed in their notes."""
+    """Draft in which solved values are marked as assumed in their comments."""
     notes = {
         place: f"{ASSUMED_NOTE} ({note})"
         if note.startswith(NOTE_PREFIXES[1:])

@@ -1,9 +1,9 @@
 """Hypotheses on a force plate's frame, units and columns, and their fit to its data.
 
-For one order of columns, rotation, origin, units and delay define a plate. Gauss-Newton steps on
-these (`PlateRows.fit`), from the least-squares alignment with the model file's wrench (Wahba's
-problem) and from the mapping's frame, find the rotation. Pairs of units with a similar ratio are
-tried; a rotation near rounded angles, or near the mapping's frame, is rounded to these.
+For one order of columns, rotation, origin, units and delay define a plate. The rotation is found by
+Gauss-Newton steps (`PlateRows.fit`) that start from the least-squares alignment with the model
+file's wrench (Wahba's problem) and from the mapping's frame. Pairs of units with a similar ratio
+are tried; a rotation near rounded angles, or near the mapping's frame, is rounded to these.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ MapHypothesis = tuple[tuple[Hypothesis, ...], Array]
 def plate_hypotheses(
     plate: PlateRows, frame: PlateFrame, order: tuple[int, ...]
 ) -> Iterator[MapHypothesis]:
-    """Yield the rotations and units that explain a plate best, for one order of columns.
+    """Yield the rotations and units that best explain a plate, for one order of columns.
 
     Units are within 10 % of the fitted ratio; shift, delay and sense are fitted later for each map.
     """
@@ -167,7 +167,7 @@ def _optimal_rotation(
     """Optimal rotation of the frame from a start value, by Gauss-Newton steps.
 
     Returns:
-        Rotation, factor on the moments, largest sigma of the rotation [rad], and cost.
+        Rotation, factor on the moments, largest standard deviation of the rotation [rad], and cost.
     """
     ratio = plate.moment_factor(frame.map(frame.rotation, frame.units, order))
     indices = [*ROTATION_INDICES, RATIO_INDEX]
@@ -219,8 +219,8 @@ class WrenchFit:
 
     Attributes:
         time: Time, (T,) [s].
-        wrench: Wrench as read, (T, 6) [N, N m].
-        fit: Best fit by base parameters and constants, (T, 6) [N, N m].
+        wrench: Wrench as recorded, (T, 6) [N, N m].
+        fit: Best fit with base parameters and constants, (T, 6) [N, N m].
         unexplained: Unexplained share of each channel's variance, (6,).
     """
 
@@ -235,7 +235,7 @@ class PlateEvidence:
 
     Attributes:
         has_wrench: True if there is a force plate.
-        rows: Regressor of the wrench by all barycentric parameters, (T, 6, 10 n).
+        rows: Regressor of the wrench with respect to barycentric parameters, (T, 6, 10 n).
     """
 
     def __init__(
@@ -245,9 +245,9 @@ class PlateEvidence:
 
         Args:
             prior: Prior of the robot's parameters.
-            frame: Frame and units by which the mapping reads the plate.
-            rows: Regressor of the wrench by all barycentric parameters, (T, 6, 10 n).
-            instants: Low-passed signals of the recording.
+            frame: Frame and units of the plate according to the mapping.
+            rows: Regressor of the wrench with respect to barycentric parameters, (T, 6, 10 n).
+            instants: Low-pass filtered signals of the recording, at T instants.
         """
         self._prior, self._frame, self.rows, self._instants = (
             prior,
@@ -269,9 +269,9 @@ class PlateEvidence:
         return self._rows.least_residual_share if self.has_wrench else 0.0
 
     def has_crosstalk(self, unexplained: Array) -> bool:
-        """Test for crosstalk: a full linear map leaves far less than `unexplained`, (6,).
+        """Test for crosstalk: a full linear map leaves far smaller shares than `unexplained`, (6,).
 
-        Far less: below `CROSSTALK_SHARE`, and below a tenth of the channels' mean.
+        The share must be below `CROSSTALK_SHARE` and below a tenth of the mean of `unexplained`.
         """
         return self.least_residual_share < min(
             CROSSTALK_SHARE, float(unexplained.mean()) / CROSSTALK_RATIO
@@ -279,7 +279,7 @@ class PlateEvidence:
 
     @cached_property
     def delay(self) -> tuple[float, float]:
-        """Delay of the plate by the model file's masses [s], and ratio of the residuals.
+        """Delay of the plate from the model file's masses [s], and residual ratio.
 
         The wrench predicted with these masses is fitted by all maps of the channels.
         """
@@ -295,7 +295,7 @@ class PlateEvidence:
 
     @cached_property
     def explanations(self) -> list[PlateExplanation]:
-        """Explanations by best rotations and units; if unexplained, in other column orders, too."""
+        """Explanations by the best rotations and units, if necessary with other column orders."""
         if not self.has_wrench:
             return [NO_PLATE]
         plate, frame = self._rows, self._frame
@@ -332,7 +332,7 @@ class PlateEvidence:
     def _explanation(
         self, hypotheses: Sequence[Hypothesis], matrix: Array, fit: MapFit
     ) -> PlateExplanation:
-        """Explanation by a map and its fit, with the cost of its residuals and masses."""
+        """Explanation by a fitted map, with the cost of residuals and of implausible masses."""
         mass_cost = min(
             (np.log(max(abs(fit.mass_scale), 1e-9)) / MASS_LOG_SIGMA) ** 2,
             MAX_MASS_COST,
@@ -347,7 +347,7 @@ class PlateEvidence:
 
     @cached_property
     def explanation_as_read(self) -> PlateExplanation:
-        """Explanation of the plate as read, with a fitted delay."""
+        """Explanation of the plate as recorded, with a fitted delay."""
         if not self.has_wrench:
             return NO_PLATE
         fit = self._rows.fit(np.eye(6), [DELAY_INDEX])
@@ -356,7 +356,7 @@ class PlateEvidence:
         return self._explanation((), np.eye(6), fit)
 
     def wrench(self, explanation: PlateExplanation) -> Array:
-        """Wrench in the bedplate frame by an explanation, delay corrected, (T, 6) [N, N m]."""
+        """Wrench in the bedplate frame under an explanation, delay corrected, (T, 6) [N, N m]."""
         data = self._instants
         return (data.wrench + explanation.delay * data.wrench_rate) @ explanation.map.T
 
@@ -382,11 +382,11 @@ class PlateEvidence:
     def residual(
         self, explanation: PlateExplanation, columns: Array
     ) -> tuple[Array, Array, Array]:
-        """Residual of the wrench, (T, 6), with additional columns; their values and sigmas, (k,).
+        """Residual wrench, (T, 6), and values and standard deviations of additional columns, (k,).
 
         Args:
             explanation: Explanation of the plate.
-            columns: Additional columns of the wrench, (T, 6, k).
+            columns: Additional regressor columns of the wrench, (T, 6, k).
         """
         values, root, residual = self._regression(
             explanation, np.concatenate([self._columns, columns], axis=2)
@@ -408,9 +408,9 @@ class PlateEvidence:
         return values[:, 0], root, residual[..., 0]
 
     def zero_wrench(self, explanation: PlateExplanation) -> tuple[Array, Array]:
-        """Wrench on the plate without the moving bodies, and standard deviation, (6,) [N, N m].
+        """Wrench on the plate without moving bodies, and standard deviation, (6,) [N, N m].
 
-        The moving bodies' part is predicted by `posterior`; no motion identifies their weight.
+        The moving bodies' share is predicted by `posterior`; motion cannot identify their weight.
         """
         mean, root, _ = self.posterior(explanation)
         residual = self.wrench(explanation) - self.rows @ mean
@@ -421,19 +421,19 @@ class PlateEvidence:
     def frame_correction(self, explanation: PlateExplanation) -> tuple[Array, Array]:
         """Small corrections of a plate's frame, delay and gain ratio, with covariance.
 
-        Near the true mapping, the wrench is w = Y delta + b - sum x_e S_e w - late dw/dt + noise,
+        Near the true mapping, the wrench is w = Y delta + b - sum x_e S_e w - delay dw/dt + noise,
         with regressor Y, parameters delta (prior: model file), constants b, and corrections x_e
-        (S_e: `MAP_DERIVATIVES`); w on the right is the last prediction, so that noise causes no
-        bias. Residuals are not white: after a discrete cosine transform, each frequency of a
-        channel is weighted by the residuals around it. A prior from which the data depart is
-        widened (`MAX_PRIOR_FACTOR`); an undetermined coordinate of the origin is set to zero.
+        (S_e: `MAP_DERIVATIVES`); w on the right is the last prediction, so noise causes no bias.
+        Residuals are not white: after a cosine transform, each frequency is weighted by the
+        residuals around it. If data depart from the prior, it is widened (`MAX_PRIOR_FACTOR`); an
+        undetermined origin coordinate is zero.
 
         Args:
             explanation: Explanation of the plate, without hypotheses on the plate.
 
         Returns:
-            Shift (3) [m], delay [s], rotation (3) [rad], relative ratio of moments to forces; in
-            the bedplate frame, the rotation first, (8,). Their covariance, (8, 8).
+            Shift (3) [m], delay [s], rotation (3) [rad], relative ratio of moments to forces, (8,),
+            in the bedplate frame, with the rotation applied first; and their covariance, (8, 8).
         """
         from scipy.fft import dct
 
@@ -472,13 +472,13 @@ class PlateEvidence:
     def _with_known_origin(
         self, values: Array, covariance: Array
     ) -> tuple[Array, Array]:
-        """Correction with origin coordinates of a sigma above 2 cm at zero, and covariance."""
+        """Correction with undetermined origin coordinates (sigma > 2 cm) zero, and covariance."""
         free = [k for k in SHIFT_INDICES if covariance[k, k] > MAX_ORIGIN_SIGMA**2]
         gain = np.linalg.solve(covariance[np.ix_(free, free)], covariance[free])
         return values - (values[free] + self._frame.origin[free]) @ gain, covariance
 
     def wrench_fit(self, explanation: PlateExplanation) -> WrenchFit:
-        """Channels by an explanation, and their best fit by parameters and constants."""
+        """Channels mapped by an explanation, and their best fit with parameters and constants."""
         wrench, residual = self.wrench(explanation), self.posterior(explanation)[2]
         return WrenchFit(
             self._instants.motion.t, wrench, wrench - residual, explanation.unexplained

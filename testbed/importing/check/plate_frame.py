@@ -1,4 +1,4 @@
-"""Frame and units by which a mapping reads a force plate."""
+"""Frame and units of a force plate according to a mapping."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from testbed.importing.foreign_table import FORCE_UNITS, MOMENT_UNITS, canonical
 
 @dataclass(frozen=True, eq=False)
 class PlateFrame:
-    """Frame and units by which a mapping reads the force plate.
+    """Frame and units of the force plate according to a mapping.
 
     Attributes:
         rotation: Rotation matrix from the sensor frame to the bedplate frame, (3, 3).
@@ -32,7 +32,7 @@ class PlateFrame:
 
     @cached_property
     def wrench_to_sensor(self) -> Array:
-        """Matrix from wrenches in the bedplate frame to the sensor frame, (6, 6)."""
+        """Matrix that transforms wrenches from the bedplate frame to the sensor frame, (6, 6)."""
         return Transform(self.rotation, self.origin).inverse.wrench_matrix
 
     def map(
@@ -42,9 +42,9 @@ class PlateFrame:
         order: Sequence[int],
         ratio: float = 1.0,
     ) -> Array:
-        """Matrix from wrenches as read by this frame to wrenches by another frame, (6, 6).
+        """Matrix that converts wrenches recorded with this frame to another frame, (6, 6).
 
-        Both are in and about the bedplate frame [N, N m].
+        Both wrenches are expressed in the bedplate frame, about its origin [N, N m].
 
         Args:
             rotation: Rotation matrix of the other sensor frame, (3, 3).
@@ -68,7 +68,7 @@ def plate_frame_of(mapping: Mapping[str, Any]) -> PlateFrame:
     """Frame and units of a mapping's only force plate; otherwise bedplate frame and SI.
 
     Args:
-        mapping: Content of the recording's mapping file; empty without a mapping.
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
     """
     tables = signal_tables(mapping, "wrench")
     table = next(

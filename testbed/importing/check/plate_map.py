@@ -1,15 +1,15 @@
 """Linear maps from a force plate's channels to the wrench on a robot.
 
-For the right mapping the six channels w, in the bedplate frame, are linear in ONE set of inertial
-parameters: A w + b = Y(q, q', q'') delta_r at all instants. Units, senses, orders of columns,
-rotation and origin of the frame, and the zero of the plate are all in A (6x6) and b, and the
-equation is linear in both. So the rows Y, and constants, are projected out once for positions as
-read; with the products H of the residuals, every A leaves vec(A)' H vec(A). A shift of the frame by
-r (moments gain r x F), a small rotation, and a small delay of the wrench (A dw/dt) are linear as
-well: they are fitted for each A, not searched.
+With the right mapping, the six channels w in the bedplate frame are linear in one set of inertial
+parameters: A w + b = Y(q, q', q'') delta_r at all instants. A (6, 6) and b contain units, senses,
+order of columns, rotation and origin of the frame, and the zero of the plate, and the equation is
+linear in both. The regressor columns Y and constants are therefore projected out once, for
+positions as recorded; with H, the products of the residuals, any A leaves the sum of squares
+vec(A)' H vec(A). A shift of the frame by r (moments gain r x F), a small rotation, and a small
+delay of the wrench (A dw/dt) are linear as well: they are fitted for each A instead of searched.
 
-The least generalised eigenvalue of H and the signal's products G is the residual that no mapping of
-a plate can reduce.
+The least generalised eigenvalue of H and of G, the products of the signals, is the residual that no
+mapping of a plate can reduce.
 """
 
 from __future__ import annotations
@@ -53,14 +53,18 @@ forces."""
 
 
 def rotation_vector(rotation: Array) -> Array:
-    """Rotation vector of a rotation matrix, (3, 3), no longer than pi, (3,) [rad]."""
+    """Rotation vector of a rotation matrix, with a length of at most pi, (3,) [rad].
+
+    Args:
+        rotation: Rotation matrix, (3, 3).
+    """
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def _map_derivatives() -> Array:
-    """Derivatives of a map by its corrections, as left factors of the map, (8, 6, 6)."""
+    """Derivatives of a map with respect to its corrections, as left factors, (8, 6, 6)."""
     derivatives = np.zeros((8, 6, 6))
     derivatives[SHIFT_INDICES, 3:, :3] = derivatives[
         ROTATION_INDICES, :3, :3
@@ -77,17 +81,18 @@ MAP_DERIVATIVES = _map_derivatives()
 def ridge_regression(
     rows: Array, target: Array, sigma: Array
 ) -> tuple[Array, Array, Array]:
-    """Linear regression with Gaussian prior and free constants.
+    """Linear regression with a Gaussian prior and free constants.
 
-    Where the plate is noise, parameters remain near the model file's.
+    If the plate measures only noise, the parameters remain close to those of the model file.
 
     Args:
-        rows: Columns of the parameters in standard deviations of the prior, (T, 6, N).
-        target: Signals minus the model file's prediction, (T, 6, k).
+        rows: Regressor of the parameters, scaled by prior standard deviations, (T, 6, N), where T
+            is the number of instants and N the number of parameters.
+        target: Signals with the prediction of the model file subtracted, (T, 6, k).
         sigma: Standard deviations of the channels' residuals, (6,).
 
     Returns:
-        Deviations of the parameters in prior standard deviations, (N, k), a root of their
+        Deviations of the parameters in prior standard deviations, (N, k), a square root of their
         covariance, (N, N), and residuals, (T, 6, k).
     """
     columns = ((rows - rows.mean(axis=0)) / sigma[:, None]).reshape(-1, rows.shape[2])
@@ -107,8 +112,8 @@ class MapFit(NamedTuple):
         noise: Noise share of each channel's variance, (6,).
         corrections: Corrections of the map, zero if not fitted, (8,).
         sigma: Standard deviations of the corrections for white residuals, (8,).
-        mass_scale: Wrench relative to that of the model file's masses; negative for the opposite
-            sense.
+        mass_scale: Ratio of the wrench to the prediction from the model file's masses; negative for
+            the opposite sense.
     """
 
     unexplained: Array
@@ -122,17 +127,18 @@ class PlateRows:
     """Products of a plate's channels, with parameters and constants projected out.
 
     Attributes:
-        expected: Varying part of the model file's wrench, scaled to unit size, (T, 6).
-        weight: Scale factors of forces and moments for unit size, (6,).
+        expected: Varying part of the wrench predicted from the model file, scaled to unit size, (T,
+            6), where T is the number of instants.
+        weight: Factors that scale forces and moments to unit size, (6,).
     """
 
     def __init__(self, rows: Array, expected: Array, instants: Instants) -> None:
         """Project out the parameters and compute the products.
 
         Args:
-            rows: Columns of the parameters in standard deviations of the prior, (T, 6, N).
-            expected: Wrench by the model file's masses, (T, 6) [N, N m].
-            instants: Low-passed signals, with a wrench.
+            rows: Regressor of the N parameters, scaled by prior standard deviations, (T, 6, N).
+            expected: Wrench predicted from the model file's masses, (T, 6) [N, N m].
+            instants: Low-pass filtered signals, with a wrench.
         """
         varied = expected - expected.mean(axis=0)
         size = np.sqrt(_force_moment_means((varied**2).mean(axis=0)))
@@ -160,7 +166,7 @@ class PlateRows:
     def fit(
         self, matrix: Array, places: Sequence[int] = (*SHIFT_INDICES, DELAY_INDEX)
     ) -> MapFit:
-        """Fit corrections of a map by least squares; compute the residuals.
+        """Fit corrections of a map by least squares, and compute the residuals.
 
         Args:
             matrix: Map from the recorded wrench to the wrench in the bedplate frame, (6, 6).
@@ -198,7 +204,7 @@ class PlateRows:
         )
 
     def moment_factor(self, matrix: Array) -> float:
-        """Factor on moments for the model file's rms ratio of moments to forces.
+        """Factor on moments that yields the model file's rms ratio of moments to forces.
 
         Args:
             matrix: Map of the channels, (6, 6).
@@ -207,14 +213,14 @@ class PlateRows:
         return float(np.sqrt(force / moment)) if min(force, moment) > 0 else 1.0
 
     def _variance(self, matrix: Array) -> Array:
-        """Variance of each channel after a map, relative to the model's, (6,)."""
+        """Variance of each mapped channel, relative to the variance of the model's wrench, (6,)."""
         return np.asarray(
             self.weight**2 * ((matrix @ self._covariance[:6, :6]) * matrix).sum(axis=1)
         )
 
     @cached_property
     def least_residual_share(self) -> float:
-        """Least residual share over all linear maps of channels and derivatives.
+        """Least residual share over all linear maps of channels and their derivatives.
 
         It is the least generalised eigenvalue of the products of residuals and of signals.
         """
@@ -231,8 +237,8 @@ class PlateRows:
 def _residual_sigma(instants: Instants) -> Array:
     """Standard deviations of the channels' residuals, relative to forces or moments, (6,).
 
-    1e-3 if noise is below 10 % of the variance of forces and of moments; otherwise of model errors
-    and correlated noise.
+    They are 1e-3 if the noise is below 10 % of the variance of forces and of moments; otherwise
+    they account for model errors and correlated noise.
     """
     variance = _force_moment_means(instants.wrench.var(axis=0))
     noise = _force_moment_means(instants.wrench_noise) / np.maximum(variance, 1e-30)
@@ -242,11 +248,11 @@ def _residual_sigma(instants: Instants) -> Array:
 
 
 def _limited_variance(variance: Array) -> Array:
-    """Variances of channels, (6,), at least 2 % of the mean over forces, or over moments."""
+    """Variances of channels, (6,), bounded below by 2 % of the mean over forces or moments."""
     mean = np.repeat(_force_moment_means(variance), 3)
     return np.maximum(variance, np.maximum(MIN_VARIANCE_SHARE * mean, 1e-300))
 
 
 def _force_moment_means(channels: Array) -> Array:
-    """Mean of the forces' values and mean of the moments' values, (2,), from (6,)."""
+    """Mean over the forces and mean over the moments, (2,), of values for six channels."""
     return np.asarray(channels.reshape(2, 3).mean(axis=1))

@@ -1,4 +1,4 @@
-"""Interpretations (readings) of a log with other position zeros, signs, units or order."""
+"""Interpretations of a log with other position zeros, signs, units or joint order."""
 
 from __future__ import annotations
 
@@ -43,9 +43,10 @@ MAX_READINGS = 6
 
 
 def position_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
-    """Yield the likeliest readings with other position units, signs, zeros or orders of joints.
+    """Yield likeliest interpretations with other position units, signs, zeros or joint orders.
 
-    The six largest log posteriors at 80 instants, in decreasing order, evaluated at all instants.
+    The interpretations with the six largest log posteriors at 80 instants are evaluated at all
+    instants, in decreasing order of these log posteriors.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -63,10 +64,11 @@ def position_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRe
 def _position_hypotheses(
     case: TorqueCase, joints: Sequence[int]
 ) -> Iterator[tuple[tuple[Hypothesis, ...], float, str]]:
-    """Yield hypotheses on positions, with log prior odds [nats] and name of the family.
+    """Yield hypotheses on positions, with log prior odds [nats] and name of their category.
 
-    Degrees or radians taken for each other; signs, alone or with the torque's; zeros by 90 or 180
-    deg; orders of joints, alone or with the torques'. Units alone for robots with many joints.
+    They are: degrees and radians confused; signs, of the position alone or of the torque too; zeros
+    shifted by 90 or 180 deg; joint orders, of the positions alone or of the torques too. For robots
+    with many joints, only units are tested.
     """
     tree, q = case.tree, case.signals.q
     turning = [k for k in joints_without_free_base(tree) if tree.joints[k].revolute]

@@ -1,4 +1,4 @@
-"""Gaussian prior of a robot's parameters about its model file, for force plates."""
+"""Gaussian prior of a robot's parameters, centred on its model file, for force plates."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ light links."""
 
 @dataclass(frozen=True, eq=False)
 class ScaledPrior:
-    """Prior of the barycentric parameters: mean and root of the covariance.
+    """Prior of the barycentric parameters: mean and square root of the covariance.
 
-    Each body has mass, first moments x, y, z, and tensor xx, xy, xz, yy, yz, zz, in its frame and
-    augmented by the masses that it carries [FRS96].
+    The parameters of each body are mass, first moments x, y, z, and tensor xx, xy, xz, yy, yz, zz,
+    in the body's frame and augmented by the masses that the body carries [FRS96].
 
     Attributes:
-        tree: Robot, its masses roughly right.
+        tree: Robot, with approximately right masses.
     """
 
     tree: Tree
 
     @cached_property
     def mean(self) -> Array:
-        """Barycentric parameters by the model file, (10 n,)."""
+        """Barycentric parameters according to the model file, (10 n,)."""
         return barycentric(self.tree).ravel()
 
     @cached_property
     def covariance_root(self) -> Array:
-        """Root of the prior covariance of the barycentric parameters, (10 n, 10 n).
+        """Square root of the prior covariance of the barycentric parameters, (10 n, 10 n).
 
-        Standard deviations: 40 % of masses; 3 cm and 40 % of the distance from the joint for
-        centres of mass; 40 % of inertias and mass times that length squared. Bodies below 10 % of
-        the robot's mass vary like bodies of 10 %.
+        The standard deviations are: 40 % of masses; a length of 3 cm and 40 % of the distance from
+        the joint for centres of mass; for inertias, 40 % and the mass times that length squared. A
+        body below 10 % of the robot's mass has the standard deviations of a body with 10 %.
         """
         own = standard(self.tree)
         file, moments, tensor = own[:, :1], own[:, 1:4], own[:, 4:]
@@ -65,7 +65,7 @@ class ScaledPrior:
 
     @property
     def weight(self) -> float:
-        """Weight of the robot by the model file [N]."""
+        """Weight of the robot according to the model file [N]."""
         mass = sum(each.mass for each in self.tree.inertias)
         return float(mass * np.linalg.norm(self.tree.gravity))
 

@@ -22,7 +22,7 @@ MAPPING_NAME = "mapping.toml"
 def read(path: str | Path, robot: Tree) -> Recording:
     """Read a recording of a robot from a file of any logger.
 
-    Columns, units, signs and clocks are guessed from column names and solved from the data, as by
+    Columns, units, signs and clocks are guessed from column names and solved from the data, as in
     `testbed new ROBOT --recording LOG`; `metadata` of the recording lists the results.
 
     Args:
@@ -43,7 +43,7 @@ def read(path: str | Path, robot: Tree) -> Recording:
 
 
 def _solved_recording(path: Path, robot: Tree) -> Recording:
-    """Longest recording of a log, with its mapping solved from names and data.
+    """Longest recording of a log, with its mapping solved from column names and data.
 
     Raises:
         RecordingError: Columns or a clock are not found, or the data contradict the robot.

@@ -1,4 +1,4 @@
-"""Diagnostics of a recording before any estimate: spikes, ranges, rest, plate, mapping."""
+"""Diagnostics of a recording before any estimation: spikes, ranges, rest, plate, mapping."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ MIN_IMPROVEMENT = 1.2
 
 
 def percentage(part: float) -> str:
-    """Share of a channel's variance as a percentage.
+    """Share of a channel's variance, formatted as a percentage.
 
     Args:
         part: Share, 1 for 100 %.
@@ -76,8 +76,8 @@ def percentage(part: float) -> str:
 def check_spikes(recording: Recording) -> Iterator[Diagnostic]:
     """Yield a diagnostic for each channel with a few samples far outside all others.
 
-    Far: over two ranges beyond the channel's quantiles (0.1 %, or 5 samples, at either end); few:
-    no two of these samples are 3 samples apart.
+    Far means over two ranges beyond the channel's quantiles (0.1 %, or 5 samples, at either end);
+    few means that no two of these samples are 3 samples apart.
 
     Args:
         recording: Recording, or a part of it.
@@ -147,7 +147,7 @@ def check_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
 
     Args:
         tree: Robot.
-        instants: Low-passed signals of the recording.
+        instants: Low-pass filtered signals of the recording.
     """
     position = instants.motion.q[:, list(joints_without_free_base(tree))]
     motion, wrench = np.ptp(position, axis=0).max(initial=0.0), instants.wrench
@@ -167,11 +167,11 @@ def check_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
 def check_still_joints(
     tree: Tree, instants: Instants, unexplained: Array
 ) -> Iterator[Diagnostic]:
-    """Yield a diagnostic of resting joints whose torques show motion, else of resting joints.
+    """Yield a diagnostic of resting joints whose torques show motion, or of resting joints.
 
     Args:
         tree: Robot.
-        instants: Low-passed signals of the recording.
+        instants: Low-pass filtered signals of the recording.
         unexplained: Unexplained shares of the torques' variance, (n,) or (0,); above 0.1 a torque
             shows motion.
     """
@@ -197,7 +197,7 @@ def check_still_joints(
 def check_plate_residual(best: Explanation) -> Iterator[Diagnostic]:
     """Yield a diagnostic if no hypothesis explains the force plate's channels.
 
-    A warning above 0.3 % of unexplained variance beyond 3 times the noise, an error above 5 %.
+    Unexplained variance, beyond 3 times the noise, is a warning above 0.3 % and an error above 5 %.
 
     Args:
         best: Best explanation of the recording.
@@ -220,10 +220,10 @@ def check_plate_residual(best: Explanation) -> Iterator[Diagnostic]:
 
 
 def check_weight_sign(best: Explanation, tare: Array | None) -> Iterator[Diagnostic]:
-    """Yield a diagnostic of a weight on the plate below -10 % of the robot's.
+    """Yield a diagnostic of a weight on the plate below -10 % of the robot's weight.
 
     Args:
-        best: Best explanation of the recording; with a wrench.
+        best: Best explanation of the recording, which has a wrench.
         tare: Stated wrench on the plate without the robot, as for `ScaledPrior.zero_wrench`.
     """
     tree = best.fit.prior.tree
@@ -240,10 +240,10 @@ def check_weight_sign(best: Explanation, tare: Array | None) -> Iterator[Diagnos
 
 
 def carried_mass(best: Explanation, tare: Array | None) -> tuple[float, Array]:
-    """Mass [kg] and mean force, (3,) [N], by the plate's reading minus its zero wrench.
+    """Mass [kg] and mean force, (3,) [N], on the plate above its zero wrench.
 
     Args:
-        best: Best explanation of the recording; with a wrench.
+        best: Best explanation of the recording, which has a wrench.
         tare: Stated wrench on the plate without the robot, as for `ScaledPrior.zero_wrench`.
     """
     prior = best.fit.prior
@@ -255,12 +255,12 @@ def carried_mass(best: Explanation, tare: Array | None) -> tuple[float, Array]:
 
 
 def robot_masses(best: Explanation) -> tuple[float, float, float] | None:
-    """Robot masses [kg] by plate readings with and without pedestal, and by model file.
+    """Robot masses [kg] measured with and without pedestal, and stated in the model.
 
-    None if the model's pedestal is below 3 % of the robot's mass.
+    The result is None if the model's pedestal is below 3 % of the robot's mass.
 
     Args:
-        best: Best explanation of the recording; with a wrench.
+        best: Best explanation of the recording, which has a wrench.
     """
     tree = best.fit.prior.tree
     file, pedestal_mass = sum(each.mass for each in tree.inertias), tree.pedestal.mass
@@ -273,11 +273,11 @@ def robot_masses(best: Explanation) -> tuple[float, float, float] | None:
 def check_unstated_pedestal(
     best: Explanation, mapping: Mapping[str, Any]
 ) -> Iterator[Diagnostic]:
-    """Yield a diagnostic of a pedestal removed from the plate's reading, unstated in the mapping.
+    """Yield a diagnostic if the plate's wrench excludes the pedestal and the mapping omits this.
 
     Args:
         best: Best explanation of the recording.
-        mapping: Content of the recording's mapping file; empty without a mapping.
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
     """
     table = mapping.get("wrench")
     masses = (
@@ -298,19 +298,19 @@ def check_unstated_pedestal(
 
 
 def is_pedestal_removed(included: float, without: float, file: float) -> bool:
-    """Test whether the model file's mass agrees better with a reading without the pedestal.
+    """Test whether the measured wrench agrees better with the model's mass without the pedestal.
 
     Args:
-        included: Mass of the robot if the plate's reading contains the pedestal [kg].
-        without: Mass of the robot if the plate's reading is without the pedestal [kg].
-        file: Mass of the robot by the model file [kg].
+        included: Mass of the robot if the measured wrench includes the pedestal [kg].
+        without: Mass of the robot if the measured wrench excludes the pedestal [kg].
+        file: Mass of the robot in the model file [kg].
     """
     ratios = np.maximum([included, without], 1e-9) / file
     return bool(np.diff(np.abs(np.log(ratios)))[0] < 0)
 
 
 def plate_zero_diagnostic(remedy: Remedy) -> Diagnostic:
-    """Diagnostic of a force plate whose zero is shifted, without other errors.
+    """Diagnostic of a force plate whose only error is a shifted zero.
 
     Args:
         remedy: Remedy of the kind `tare`.
@@ -374,13 +374,15 @@ def wrong_mapping_diagnostic(
 def check_torque_scales(
     tree: Tree, sizes: Array, mapping: Mapping[str, Any], *, certain: bool
 ) -> Iterator[Diagnostic]:
-    """Yield a diagnostic of torques 2.5 times larger or smaller than the model file's.
+    """Yield a diagnostic of torques 2.5 times larger or smaller than predicted.
 
     Args:
         tree: Robot.
-        sizes: Torques relative to those of the model file's masses, nan if unknown, (n,) or (0,).
-        mapping: Content of the recording's mapping file; empty without a mapping.
-        certain: True if other scale factors explain the torques far better: an error from 4 times.
+        sizes: Torques relative to the prediction from the model's masses, nan if unknown, (n,) or
+            (0,).
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
+        certain: True if scale factors explain the torques far better: ratios above 4 are then
+            errors.
     """
     factors = np.maximum(sizes, 1 / sizes)
     certain = certain and bool((factors >= ERROR_FACTOR).any())
@@ -426,7 +428,7 @@ def check_undetermined_positions(
 
     Args:
         tree: Robot.
-        hypotheses: Hypotheses that explain the recording about as well as positions as read.
+        hypotheses: Hypotheses that explain the recording about as well as the recorded positions.
     """
     parts = []
     for kind in ("zero", "position_sign", "position_order"):
@@ -485,7 +487,7 @@ def signals_to_align(source: Source, faults: Iterable[ChannelFault]) -> list[str
 
     Args:
         source: Recording.
-        faults: Faults of the recording's channels; torques with `DELAY_HIDING_FAULTS` are left out.
+        faults: Faults of the recording's channels; torques with `DELAY_HIDING_FAULTS` are omitted.
     """
     mapping = source.metadata.mapping or {}
     torque, position = (

@@ -76,10 +76,11 @@ class Hypothesis:
     Attributes:
         kind: Kind of error, a key of `HYPOTHESIS_KINDS`.
         joints: Indices of the affected joints.
-        values: Values of the correction, by kind. Zeros: angles to be added, one per joint [rad];
-            orders: column index of each joint or channel; units: names; turn: roll, pitch and yaw
-            of the frame [rad]; shift: origin of the frame [m]; late and delay: delay [s]; gravity:
-            vector [m/s^2]; sizes and base unit: factors by which the numbers are too large.
+        values: Values of the correction, depending on the kind. Zeros: angles to be added, one per
+            joint [rad]; orders: column index of each joint or channel; units: names; turn: roll,
+            pitch and yaw of the frame [rad]; shift: origin of the frame [m]; late and delay: delay
+            [s]; gravity: vector [m/s^2]; sizes and base unit: factors by which the numbers are too
+            large.
     """
 
     kind: str
@@ -90,8 +91,9 @@ class Hypothesis:
     def penalty(self) -> float:
         """Additional log-likelihood ratio that the hypothesis must gain [nats].
 
-        Rotations: 2 for angles that are no multiples of 90 deg, 4 for no multiples of 15 deg.
-        Zeros: the penalty of the kind per joint, and once more for angles not of 90 or 180 deg.
+        Rotation: 2 for angles that are not multiples of 90 deg, 4 for angles that are not multiples
+        of 15 deg. Zero: the penalty of its kind, once per joint, and once more for angles other
+        than 90 or 180 deg.
         """
         # right angles are the most frequent, then multiples of 15 degrees
         if self.kind == "turn":
@@ -132,7 +134,7 @@ def joints_without_free_base(tree: Tree) -> range:
 
 
 def pair_exchanges(joints: range, count: int) -> Iterator[tuple[int, ...]]:
-    """Yield all orders of joints or channels with two exchanged.
+    """Yield all orders of joints or channels in which two are exchanged.
 
     Args:
         joints: Indices that may be exchanged.
@@ -142,7 +144,7 @@ def pair_exchanges(joints: range, count: int) -> Iterator[tuple[int, ...]]:
 
 
 def exchanged_order(first: int, second: int, count: int) -> tuple[int, ...]:
-    """Order of joints or channels with two exchanged.
+    """Order of joints or channels in which two are exchanged.
 
     Args:
         first: Index of the first.
@@ -155,10 +157,10 @@ def exchanged_order(first: int, second: int, count: int) -> tuple[int, ...]:
 
 
 def candidate_orders(joints: range) -> Iterator[tuple[int, ...]]:
-    """Yield orders with two joints exchanged, all joints rotated cyclically, or reversed.
+    """Yield orders with two joints exchanged, all joints rotated cyclically, or all reversed.
 
     Args:
-        joints: Indices of the joints; earlier joints keep their place in the orders.
+        joints: Indices of the joints; joints with lower indices keep their position in the order.
     """
     yield from pair_exchanges(joints, joints.stop)
     base, rest = [*range(joints.start)], [*joints]
@@ -175,7 +177,7 @@ def corrected_positions(
 
     Args:
         hypothesis: Hypothesis on the positions.
-        position: Positions as read, (M, n) [rad or m].
+        position: Positions as recorded, (M, n) [rad or m].
         offset: Offsets that the mapping has added to the positions, (n,).
 
     Raises:
@@ -204,7 +206,7 @@ def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
 
     Args:
         tree: Robot.
-        mapping: Content of the recording's mapping file; empty without a mapping.
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
     """
     offsets = (mapping.get("position") or {}).get("offset") or ()
     by_name = dict(zip(mapping.get("joints", tree.names), offsets, strict=False))
@@ -214,7 +216,7 @@ def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
 def merge_hypotheses(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """Combine signs and zeros of several joints into one hypothesis per kind.
 
-    Two reversals of a sign cancel; a reversed position reverses the zeros applied before.
+    Two reversals of a sign cancel; the reversal of a position reverses zeros applied before it.
 
     Args:
         hypotheses: Hypotheses in the order of application.
@@ -241,12 +243,12 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]
 def joint_hypothesis(
     kind: str, mask: NDArray[np.bool_], values: AnyArray | None = None
 ) -> Iterator[Hypothesis]:
-    """Yield the hypothesis of a kind on selected joints, if any is selected.
+    """Yield the hypothesis of a given kind on selected joints; nothing if none is selected.
 
     Args:
         kind: Kind of hypothesis, a key of `HYPOTHESIS_KINDS`.
         mask: True for the selected joints, (n,).
-        values: Values of the hypothesis; none by default.
+        values: Values of the hypothesis; empty by default.
     """
     if mask.any():
         joints = np.flatnonzero(mask).tolist()
@@ -262,11 +264,11 @@ class Remedy:
     Attributes:
         kind: Kind of hypothesis, a key of `HYPOTHESIS_KINDS`.
         joints: Names of the affected joints; empty for plate or base.
-        values: Values of the correction, as of the `Hypothesis`.
+        values: Values of the correction, as in `Hypothesis`.
         lines: Corrected lines of the mapping.
         channel: Channel with the largest improvement.
         before: Unexplained share of this channel's variance as recorded.
-        after: The same with all remedies.
+        after: Unexplained share with all remedies.
     """
 
     kind: str
@@ -291,10 +293,10 @@ def remedies_for(
     Args:
         tree: Robot.
         hypotheses: Hypotheses in the order of application.
-        before: Unexplained share of each channel's variance as recorded, (C,).
-        after: The same under the hypotheses, (C,).
-        mapping: Content of the recording's mapping file; empty without a mapping.
-        torque_count: Number of torque channels, which are the first.
+        before: Unexplained share of each of the C channels' variance as recorded, (C,).
+        after: Unexplained share under the hypotheses, (C,).
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
+        torque_count: Number of torque channels, which come first.
     """
     channels = [
         *(f"the torque of '{name}'" for name in tree.names[:torque_count]),
@@ -338,7 +340,7 @@ def mapping_with_lines(
 def _corrected_lines(
     tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]
 ) -> Iterator[MappingLine]:
-    """Yield the lines of a mapping that apply a hypothesis, relative to the present values."""
+    """Yield the lines of a mapping that apply a hypothesis, relative to the current values."""
     table_name = HYPOTHESIS_KINDS[hypothesis.kind].table
     if hypothesis.kind == "spring":
         return  # no line of a mapping corrects a spring
@@ -363,7 +365,7 @@ def _corrected_lines(
 def signal_tables(
     mapping: Mapping[str, Any], signal: str
 ) -> dict[str, Mapping[str, Any]]:
-    """Tables of a mapping that define a signal: several for a wrench of several plates.
+    """Tables of a mapping that define a signal; several for a wrench of several plates.
 
     Args:
         mapping: Content of a mapping file, as stored in a recording.
@@ -380,7 +382,7 @@ def sensor_placement(table: Mapping[str, Any]) -> tuple[Sequence[float], Array]:
     """Roll, pitch, yaw [rad] and origin, (3,) [m], of a plate in the bedplate frame.
 
     Args:
-        table: Table of the plate in a mapping; zeros without its key `place`.
+        table: Table of the plate in a mapping; without a key `place`, all values are zero.
     """
     place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
     return place["rpy"], np.array(place["xyz"], float)
@@ -437,7 +439,8 @@ def _joint_lines(
 ) -> Iterator[tuple[str, Any]]:
     """Yield keys and values of the table of positions or torques that apply a hypothesis.
 
-    Lists of the table are in the mapping's order of joints; `order` has their indices in the robot.
+    Lists of the table are in the mapping's order of joints; `order` has the robot's indices of
+    these.
     """
     kind, matrix, offset = (
         hypothesis.kind,

@@ -1,4 +1,4 @@
-"""Search for hypotheses that explain a recording, from the simple to the rare."""
+"""Search for hypotheses that explain a recording, from simple to rare hypotheses."""
 
 from __future__ import annotations
 
@@ -68,13 +68,15 @@ SCALAR_LAST = (3, 0, 1, 2)
 
 
 class Search:
-    """Search for explanations of a recording, with all fits made so far.
+    """Search for explanations of a recording, with a cache of all fits.
+
+    An explanation is a map of the plate's channels together with hypotheses on mapping errors.
 
     Attributes:
         prior: Prior of the robot's parameters.
-        frame: Frame and units by which the mapping reads the plate.
-        first: Fit without hypotheses; None for too short a recording.
-        fits: Fits by their hypotheses on positions and clocks.
+        frame: Frame and units of the plate according to the mapping.
+        first: Fit without hypotheses; None if the recording is too short.
+        fits: Fits, keyed by their hypotheses on positions and clocks.
     """
 
     def __init__(
@@ -88,11 +90,12 @@ class Search:
         """Fit the recording without hypotheses.
 
         Args:
-            tree: Robot, its masses roughly right.
+            tree: Robot, with approximately right masses.
             recording: Recording in the robot's order of joints.
-            mapping: Content of the recording's mapping file; empty without a mapping.
-            cutoff: Cutoff of the low-pass filter [Hz].
-            progress: Called with the number of fitted hypotheses, and 0 as the total is unknown.
+            mapping: Content of the recording's mapping file; empty if there is no mapping.
+            cutoff: Cutoff frequency of the low-pass filter [Hz].
+            progress: Callback with the number of fitted hypotheses, and with 0 as the unknown
+                total.
         """
         self.prior = ScaledPrior(tree)
         self.frame = plate_frame_of(mapping)
@@ -102,10 +105,11 @@ class Search:
         self.first = self._fit()
 
     def find_best_explanations(self) -> tuple[Explanation, list[Explanation]]:
-        """Explanation of the plate as read, and best explanations, the best first.
+        """Explanation with the plate as recorded, and the best explanations in order.
 
-        At most `MAX_EXPLANATIONS`, sorted by penalised cost; zeros of the best fit are optimised.
-        Without a search if the plate as read is explained.
+        At most `MAX_EXPLANATIONS` are returned, sorted by penalised cost. If the last hypothesis of
+        the best fit is another joint zero, this zero is optimised. The search is skipped if the
+        robot explains the plate as recorded.
         """
         initial = self.first
         assert initial is not None
@@ -126,9 +130,10 @@ class Search:
     def explanations_with_reversed_joints(
         self, best: Explanation, joints: Iterable[int]
     ) -> Iterator[Explanation]:
-        """Yield explanations with one joint's position sign reversed, of equal plate cost.
+        """Yield explanations of equal plate cost in which one joint's position sign is reversed.
 
-        Equal: less than `MIN_HYPOTHESIS_GAIN` above the cost of the best explanation.
+        Costs are equal if they exceed the cost of the best explanation by less than
+        `MIN_HYPOTHESIS_GAIN`.
 
         Args:
             best: Best explanation.
@@ -146,8 +151,8 @@ class Search:
     def undetermined_hypotheses(self) -> list[Hypothesis]:
         """Single position hypotheses under which the data are about equally likely.
 
-        Their cost is less than `MIN_HYPOTHESIS_GAIN` above that of the positions as read.
-        Hypotheses without any effect are left out: a zero about an axis along gravity is equivalent
+        Their cost exceeds the cost of the positions as recorded by less than `MIN_HYPOTHESIS_GAIN`.
+        Hypotheses without any effect are omitted: a zero about an axis along gravity is equivalent
         to other parameters.
         """
         misfit = self.fits[()].approximate_cost
@@ -163,9 +168,10 @@ class Search:
         ]
 
     def _fit(self, *hypotheses: Hypothesis) -> HypothesisFit | None:
-        """Fit under hypotheses on positions and clocks, cached.
+        """Fit under hypotheses on positions and clocks, with caching.
 
-        None if the corrected base orientation is singular, or the recording is too short.
+        The result is None if the corrected base orientation is singular or the recording is too
+        short.
         """
         if hypotheses not in self.fits:
             position, delay = self._recording.position, 0.0
@@ -189,7 +195,7 @@ class Search:
         return self.fits[hypotheses]
 
     def _explanations(self, first: HypothesisFit) -> list[Explanation]:
-        """Explanations by stages of the search, up to the first stage that explains the plate.
+        """Explanations from successive search stages, up to the first that explains the plate.
 
         Args:
             first: Fit without hypotheses.
@@ -204,15 +210,15 @@ class Search:
     def _stages(
         self, first: HypothesisFit, explanations: list[Explanation]
     ) -> Iterator[list[Explanation]]:
-        """Yield explanations of each stage of the search, from the simple to the rare.
+        """Yield explanations from each stage of the search, from simple to rare hypotheses.
 
-        Stages: the plate alone; units of positions; single hypotheses on positions; zeros by odd
-        multiples of 45 deg, optimised; two hypotheses on positions. If the plate turns out to be
-        delayed, the stages begin again with the delay corrected.
+        The stages are: the plate alone; units of positions; single hypotheses on positions; joint
+        zeros shifted by odd multiples of 45 deg, optimised; two hypotheses on positions. If the
+        plate turns out to be delayed, the stages start again with the delay corrected.
 
         Args:
-            first: Fit with the positions as read.
-            explanations: Explanations of all stages before, updated by the caller.
+            first: Fit with the positions as recorded.
+            explanations: Explanations from all previous stages, updated by the caller.
         """
         tree = self.prior.tree
         yield first.explanations
@@ -240,10 +246,10 @@ class Search:
     def _fit_with_delay(
         self, first: HypothesisFit, explanations: Sequence[Explanation]
     ) -> HypothesisFit | None:
-        """Fit with the plate's delay corrected; None without a significant delay.
+        """Fit with the plate's delay corrected; None if no delay is significant.
 
-        The delay is from the fit with the least ratio of residuals. None also if an explanation
-        explains the plate, or the first fit has hypotheses.
+        The delay is taken from the fit with the least ratio of residuals. The result is also None
+        if an explanation already explains the plate, or if the first fit has hypotheses.
         """
         explained = any(each.plate.is_explained() for each in explanations)
         if first.hypotheses or explained:
@@ -256,7 +262,7 @@ class Search:
     def _fit_each(
         self, fit_before: HypothesisFit, hypotheses: Iterable[Hypothesis]
     ) -> list[HypothesisFit]:
-        """Fits under the hypotheses of a fit and one additional hypothesis each.
+        """Fits with the hypotheses of a given fit and one additional hypothesis each.
 
         Args:
             fit_before: Fit with the given hypotheses.
@@ -266,7 +272,7 @@ class Search:
         return [each for each in fits if each is not None]
 
     def _nearest_fits(self, count: int) -> list[HypothesisFit]:
-        """Given number of fits with the least approximate cost, the best first."""
+        """Given number of fits with the least approximate cost, in increasing order."""
         return sorted(self.fits.values(), key=lambda each: each.approximate_cost)[
             :count
         ]
@@ -274,7 +280,8 @@ class Search:
     def _promising_explanations(self) -> list[Explanation]:
         """Explanations of the four fits with the least approximate cost.
 
-        Without fits whose residual share exceeds 20 times the least by more than 0.1 %.
+        Fits are omitted if their residual share exceeds 20 times the least residual share by more
+        than 0.1 %.
         """
         nearest = self._nearest_fits(MAX_EVALUATED_FITS)
         largest_residual = (
@@ -290,11 +297,11 @@ class Search:
         ]
 
     def _refined_explanations(self, count: int) -> list[Explanation]:
-        """Explanations of the nearest fits with optimised zeros.
+        """Explanations of the nearest fits with optimised joint zeros.
 
         Args:
-            count: Number of fits with the least approximate cost, of which those are refined whose
-                last hypothesis is a zero.
+            count: Number of fits with the least approximate cost; those whose last hypothesis is a
+                joint zero are refined.
         """
         fits = [
             self._refine(each)
@@ -304,7 +311,7 @@ class Search:
         return [each for fit in fits for each in fit.explanations]
 
     def _refine(self, fit: HypothesisFit) -> HypothesisFit:
-        """Fit with the last zero's angles shifted, within 25 deg, to the least cost."""
+        """Fit with the last joint zero optimised, within 25 deg, for the least cost."""
         from scipy.optimize import minimize_scalar
 
         *others, last = fit.hypotheses
@@ -329,7 +336,7 @@ def _likeliest_explanation(explanations: Sequence[Explanation]) -> Explanation:
 
 
 def _moves_zero(fit: HypothesisFit) -> bool:
-    """True if a fit's last hypothesis is another zero."""
+    """Test whether the last hypothesis of a fit is another joint zero."""
     return bool(fit.hypotheses) and fit.hypotheses[-1].kind == "zero"
 
 
@@ -338,12 +345,13 @@ def position_hypotheses(
 ) -> Iterator[Hypothesis]:
     """Yield hypotheses on units, signs, zeros and order of the joint positions.
 
-    Degrees or radians only if plausible by the size of the motion; zeros by 90 or 180 deg, and
-    orders, only for robots of at most 12 joints. A free base adds its unit and quaternion order.
+    Degrees or radians are proposed only if the size of the motion makes them plausible. Zeros
+    shifted by 90 or 180 deg, and orders, are proposed only for robots of at most 12 joints. A free
+    base adds hypotheses on its unit and on the order of its quaternion.
 
     Args:
         tree: Robot.
-        position: Joint positions, (T, n) [rad or m].
+        position: Joint positions, (T, n) [rad or m], at T instants.
         applied: Hypotheses already applied.
     """
     joints = joints_without_free_base(tree)
@@ -370,7 +378,7 @@ def position_hypotheses(
 
 
 def oblique_zero_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
-    """Yield hypotheses on joint zeros by odd multiples of 45 degrees.
+    """Yield hypotheses on joint zeros shifted by odd multiples of 45 degrees.
 
     Args:
         tree: Robot.
@@ -382,7 +390,7 @@ def oblique_zero_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
 def _inner_joints(tree: Tree) -> list[int]:
     """Indices of revolute joints that carry other joints.
 
-    Another zero of a last joint is equivalent to other parameters of its body.
+    For a last joint, another zero is equivalent to other parameters of its body.
     """
     return [
         k

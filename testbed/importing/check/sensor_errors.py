@@ -61,9 +61,10 @@ class SensorErrorFit:
     gain: float
 
     def explains_plate(self, best: Explanation) -> bool:
-        """Test whether the residuals of the plate are within its noise with the error.
+        """Test whether, with the error, the residuals of the plate are within its noise.
 
-        Within: an unexplained share of each channel below 0.3 % plus 3 times the noise share.
+        They are if the unexplained share of each channel is below 0.3 % plus 3 times the noise
+        share.
 
         Args:
             best: Explanation of the recording without the error.
@@ -72,14 +73,14 @@ class SensorErrorFit:
 
 
 def likeliest_sensor_error(best: Explanation) -> SensorErrorFit | None:
-    """Sensor error that explains a plate's residuals best; None if not likely.
+    """Sensor error that best explains a plate's residuals; None if no error is likely.
 
-    Likely: a gain above `MIN_GAIN`, and a significant coefficient.
-
-    Errors that are constant in time are covered by hypotheses on the plate, or are crosstalk.
+    An error is likely if its gain exceeds `MIN_GAIN` and it has a significant coefficient. Errors
+    that are constant in time are not tested: hypotheses on the plate cover them, or they are
+    crosstalk.
 
     Args:
-        best: Best explanation of the recording; with a wrench.
+        best: Best explanation of the recording, which has a wrench.
     """
     fits = sorted(_sensor_error_fits(best), key=lambda each: -each.gain)
     return (
@@ -122,7 +123,8 @@ def sensor_error_diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnosti
 def _sensor_error_fits(best: Explanation) -> Iterator[SensorErrorFit]:
     """Yield the fits of all time-varying sensor errors, one error at a time.
 
-    Constant gains of the channels are fitted as well; `gain` is relative to the fit of these alone.
+    Constant gains of the channels are fitted as well; `gain` is relative to the fit of these gains
+    alone.
     """
     wrench = best.fit.plate.wrench(best.plate)
     # columns are computed from the explained wrench, not the measured one: noise on both sides
@@ -150,16 +152,16 @@ def _sensor_error_fits(best: Explanation) -> Iterator[SensorErrorFit]:
 
 
 def _gain_columns(wrench: Array) -> Array:
-    """Columns of the channels' gains, (T, 6, 6), for the explained wrench, (T, 6)."""
+    """Regressor columns of the channels' gains, (T, 6, 6), for the explained wrench, (T, 6)."""
     return GAIN_SIGMA * PlateGain.derivative(wrench, np.zeros(len(wrench)), np.zeros(6))
 
 
 def _regression(best: Explanation, columns: Array) -> tuple[Array, Array, Array, Array]:
-    """Regression of the wrench on robot parameters and further columns.
+    """Regression of the wrench on robot parameters and additional columns.
 
     Args:
         best: Explanation of the recording.
-        columns: Further columns, (T, 6, k).
+        columns: Additional columns, (T, 6, k), at T instants.
 
     Returns:
         Unexplained shares of the channels, (6,), values and standard deviations of the columns'
@@ -174,7 +176,7 @@ def _regression(best: Explanation, columns: Array) -> tuple[Array, Array, Array,
 
 
 def _is_time_varying(error: type[SystematicError]) -> bool:
-    """Test whether an error of a force plate changes in time."""
+    """Test whether an error of a force plate varies with time."""
     if issubclass(error, ClockError):
         return error is not PlateDelay
     return issubclass(error, PlateError) and error.term not in PlateMatrix.contains
@@ -185,7 +187,7 @@ def _error_columns(
 ) -> Array:
     """Derivatives of a wrench, (T, 6), with respect to a sensor error's coefficients, (T, 6, k).
 
-    Time is counted from the middle of the recording.
+    Time is measured from the middle of the recording.
     """
     time = best.fit.instants.motion.t
     time = time - time.mean()

@@ -1,4 +1,4 @@
-"""Interpretations (readings) of a log with a spring or cable torque at one joint."""
+"""Interpretations of a log with the torque of a spring or cable at one joint."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ MIN_EXPECTED_GAIN = 5.0
 
 
 def spring_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
-    """Yield readings with a spring at one joint, screened by a score test.
+    """Yield interpretations of the log with a spring at one joint, after a score test.
 
-    A spring is fitted if its expected gain of log evidence exceeds `MIN_EXPECTED_GAIN`.
+    A spring is fitted if the expected gain of log evidence exceeds `MIN_EXPECTED_GAIN`.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -45,7 +45,7 @@ def spring_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRead
 
 
 def _expected_gains(case: TorqueCase) -> Array:
-    """Expected log evidence gain of a spring at each joint, to first order, (n,) [nats]."""
+    """Expected log evidence gain from a spring at each joint, to first order, (n,) [nats]."""
     initial, products, unit = case.as_given, case.products, np.eye(case.tree.n)
     springs = spring_torques(case.signals, case.channel_rms).T * products.valid
     cross = (products.columns.transpose(0, 2, 1) @ springs[:, :, None])[:, :, 0]

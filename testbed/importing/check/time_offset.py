@@ -1,8 +1,9 @@
 """Delays of torques or wrench relative to the encoders, by least squares.
 
-Rows are at the positions' times; the signal is read later by s + k (t - middle), and the residual
-with minimal parameters, friction and zeros is minimised by Gauss-Newton steps. Significant delays
-and drifts are corrected in the mapping.
+The rows of the regression are at the times t of the positions, and the signal is evaluated at
+t + s + k (t - middle), with delay s and drift k. The residual with minimal parameters, friction and
+zeros is minimised by Gauss-Newton steps. Significant delays and drifts are corrected in the
+mapping.
 """
 
 from __future__ import annotations
@@ -72,13 +73,13 @@ class TimeOffset:
 
     Attributes:
         signal: Name of the signal: "torque" or "wrench".
-        delay: Delay in the recording's middle [s].
+        delay: Delay in the middle of the recording [s].
         sigma: Standard deviation of the delay [s].
-        skew: Increase of the delay per time.
+        skew: Rate of change of the delay.
         skew_sigma: Standard deviation of the skew.
-        middle: Time of the recording's middle [s].
-        before: Unexplained part of the signal's variation, rms.
-        after: The same with delay and skew corrected.
+        middle: Time of the middle of the recording [s].
+        before: Unexplained fraction of the signal's variation, rms.
+        after: Unexplained fraction with delay and skew corrected, rms.
     """
 
     signal: str
@@ -142,14 +143,15 @@ def time_offsets(
         tree: Robot; its inertias are not used.
         source: Recording.
         kinds: Names of the signals: "torque", "wrench", or both.
-        bodies: Estimate by force plate, for torques predicted with its parameters.
+        bodies: Estimate from a force plate, whose parameters predict the torques; None for free
+            parameters.
 
     Returns:
-        An offset for each signal, significant or not, without constant signals and signals with too
-        few rows for the number of unknowns; empty for less than 2 s.
+        Offset of each signal, significant or not. Constant signals, and signals with too few rows
+        for the number of unknowns, are omitted. The list is empty for recordings shorter than 2 s.
 
     Raises:
-        RecordingError: The recording is of another robot.
+        RecordingError: The recording belongs to another robot.
     """
     check_robot(source, tree)
     tree = with_recorded_gravity(tree, source)
@@ -173,13 +175,13 @@ def with_drive_delay(
     Args:
         tree: Robot; its inertias are not used.
         source: Recording of commanded torques.
-        bodies: Estimate by force plate.
+        bodies: Estimate from a force plate.
 
     Returns:
         Recording without its ends, and the (negative) delay of the commands.
 
     Raises:
-        RecordingError: The recording is of another robot, or its torques are not ahead of the
+        RecordingError: The recording belongs to another robot, or its torques are not ahead of the
             motion.
     """
     offset = next(iter(time_offsets(tree, source, ("torque",), bodies)), None)
@@ -202,8 +204,8 @@ def alignment_lines(
 ) -> Iterator[MappingLine]:
     """Yield lines of a mapping that correct a significant offset.
 
-    These are `delay`, for all plates, and `skew` for a source with a clock other than the
-    positions'.
+    The lines are `delay`, for all plates, and `skew` for a source whose clock differs from the
+    clock of the positions.
 
     Args:
         offset: Estimated delay and drift of a signal.
@@ -235,14 +237,14 @@ def alignment_lines(
 
 
 class _Regression(NamedTuple):
-    """Linear model of a signal, and the signal itself: T rows, C channels, N unknowns.
+    """Linear model of a signal and the signal itself (T rows, C channels, N unknowns).
 
     Attributes:
-        rows: Rows on all unknowns, (T, C, N).
-        valid: 1 for valid rows, 0 for joints near a reversal, where dry friction has no sign, (T,
-            C).
+        rows: Regressor of all unknowns, (T, C, N).
+        valid: 1 for valid rows, 0 for joints near a reversal, where the sign of dry friction is
+            undetermined, (T, C).
         time: Time, (T,) [s].
-        measured: Function from times, (T,), to the signal, (T, C).
+        measured: Function that maps times, (T,), to the signal, (T, C).
     """
 
     rows: Array
@@ -254,10 +256,10 @@ class _Regression(NamedTuple):
 def _time_offset(
     kind: str, tree: Tree, recording: Recording, rate: float, bodies: Estimate | None
 ) -> TimeOffset | None:
-    """Delay of one signal, with a drift only if plausible for clocks.
+    """Delay of one signal, with a drift only if the drift is plausible for clocks.
 
-    Plausible: significant, and a skew below 5e-4. None if the robot hardly moves, or the recording
-    has too few rows for the number of unknowns.
+    A drift is plausible if it is significant and its skew is below 5e-4. The result is None if the
+    robot hardly moves, or if the recording has too few rows for the number of unknowns.
     """
     rows, valid, time, measured = _regression_rows(kind, tree, recording, rate, bodies)
     if valid.sum() < MIN_VALUES_PER_COLUMN * rows.shape[2]:
@@ -280,10 +282,10 @@ def _time_offset(
 def _regression_rows(
     kind: str, tree: Tree, recording: Recording, rate: float, bodies: Estimate | None
 ) -> _Regression:
-    """Filtered rows of the torques or the wrench, and the signal with the same filter.
+    """Filtered regressor rows of torques or wrench, and the signal with the same filter.
 
-    At most 12.5 rows per second. Rows of joints near a reversal are invalid; columns of zeros are
-    left out.
+    There are at most 12.5 rows per second. Rows of joints near a reversal are invalid; columns of
+    zeros are omitted.
     """
     cutoff_factor = min(1.0, rate / (6 * POSITION_CUTOFF))
     step = max(1, int(rate / ROW_RATE))
@@ -309,14 +311,14 @@ def _regression_rows(
 
 
 def _columns(kind: str, tree: Tree, motion: Motion, bodies: Estimate | None) -> Array:
-    """Columns of bodies, constants and friction before the row filter, (M, C, N).
+    """Regressor columns of bodies, constants and friction before the row filter, (M, C, N).
 
     Args:
         kind: Name of the signal: "torque" or "wrench".
         tree: Robot.
         motion: Motion at M instants.
-        bodies: Estimate by force plate, whose parameters replace unknown ones; None for free
-            parameters.
+        bodies: Estimate from a force plate, whose parameters replace the unknown parameters; None
+            for free parameters.
     """
     minimal = minimal_set(tree, "torque" if kind == "torque" else "wrench")
     columns = regressor(tree, motion, minimal)
@@ -334,12 +336,12 @@ def _columns(kind: str, tree: Tree, motion: Motion, bodies: Estimate | None) -> 
 def _filtered_signal(
     recording: Recording, kind: str, fine: slice, low_pass: Array, weights: Array
 ) -> tuple[Array, Callable[[Array], Array]]:
-    """Times after both filters, (M,), and spline of the filtered signal, constant beyond.
+    """Times after both filters, (M,), and spline of the filtered signal, constant outside.
 
     Args:
         recording: Recording.
         kind: Name of the signal.
-        fine: Selection of samples at the rate of rows.
+        fine: Selection of samples at the rate of the rows.
         low_pass: Weights of the filter on positions.
         weights: Weights of the filter on rows.
     """
@@ -355,7 +357,7 @@ def _filtered_signal(
 def _fit_offset(
     kind: str, regression: _Regression, start: Sequence[float]
 ) -> TimeOffset:
-    """Fit delay and drift by nonlinear least squares, channels weighted by their residuals.
+    """Fit delay and drift by nonlinear least squares, with channels weighted by their residuals.
 
     Args:
         kind: Name of the signal.
@@ -390,11 +392,11 @@ def _fit_offset(
 def _residual_function(
     regression: _Regression, powers: Array, weights: Array
 ) -> Callable[[Array], Array]:
-    """Function from delay and drift to the weighted residuals of the linear model, (T C,).
+    """Function that maps delay and drift to the weighted residuals of the linear model, (T C,).
 
     Args:
         regression: Linear model of the signal, whose unknowns are eliminated.
-        powers: Ones, and times from the middle [s] for a drift, (T, 1) or (T, 2).
+        powers: Ones and, for a drift, times relative to the middle [s], (T, 1) or (T, 2).
         weights: Weights of the residuals, (T, C).
     """
     rows, _, time, measured = regression
@@ -412,8 +414,9 @@ def _offset_sigma(residual: Array, columns: Array) -> Array:
     """Standard deviations of delay and drift, for residuals correlated over some rows [NW87].
 
     Args:
-        residual: Weighted residuals, (T, C).
-        columns: Their derivatives with respect to delay and drift, (T, C, 1) or (T, C, 2).
+        residual: Weighted residuals of C channels in T rows, (T, C).
+        columns: Derivatives of the residuals with respect to delay and drift, (T, C, 1) or (T, C,
+            2).
     """
     from scipy.linalg import toeplitz
 

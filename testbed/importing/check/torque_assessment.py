@@ -1,4 +1,4 @@
-"""Errors of a mapping and of gravity that a log's joint torques show."""
+"""Errors of a mapping and of gravity that are found from a log's joint torques."""
 
 from __future__ import annotations
 
@@ -60,7 +60,8 @@ class TorqueAssessment:
     Attributes:
         diagnostics: Errors, undetermined properties, and unexplained torques.
         remedies: Corrections of the mapping, to be applied together.
-        torque_scales: Torques relative to those of the model file's masses, (n,); nan if unknown.
+        torque_scales: Torques relative to the prediction from the model file's masses, (n,); nan if
+            unknown.
         verdict: Result of the model comparison; None if nothing can be tested.
         unexplained: Unexplained shares of the torques' variance as given, (n,) or (0,).
     """
@@ -80,14 +81,14 @@ def assess_torques(
 ) -> TorqueAssessment:
     """Check a log's mapping and gravity against its joint torques.
 
-    Readings are compared by Bayesian evidence (`compare_readings`). Empty for too short a recording
-    or without enough valid torques.
+    Interpretations of the log are compared by Bayesian evidence (`compare_readings`). The result is
+    empty if the recording is too short or has too few valid torques.
 
     Args:
         tree: Robot under the gravity stated by the log.
         recording: Recording in the robot's order of joints.
         faults: Faults of channels; faulty samples are excluded.
-        prior: Prior of the bodies from a force plate, with which positions and gravity are known.
+        prior: Prior of the bodies from a force plate; if given, positions and gravity are known.
     """
     signals = torque_signals(recording, faults)
     if signals is None:
@@ -119,8 +120,9 @@ def assess_torques(
 def _scaled_verdict(case: TorqueCase) -> tuple[Array, TorqueVerdict, bool]:
     """Torque scale factors, verdict, and True if torques were rescaled before the verdict.
 
-    Torques are rescaled if they are not right as given, and their median scale factor is beyond 2.5
-    or 1 / 2.5; the verdict on them counts if it is likelier, or the first verdict explains nothing.
+    Torques are rescaled if they are not right as given and their median scale factor is outside the
+    range from 1 / 2.5 to 2.5. The verdict on rescaled torques is returned if it is likelier, or if
+    the first verdict explains nothing.
     """
     verdict, sizes = compare_readings(case), body_scale_factors(case)
     known = np.isfinite(sizes) & case.usable_channels
@@ -166,10 +168,11 @@ def _scaled_verdict(case: TorqueCase) -> tuple[Array, TorqueVerdict, bool]:
 
 
 def body_scale_factors(case: TorqueCase) -> Array:
-    """Scale factors of torques relative to the model file's bodies, (n,).
+    """Scale factors of torques relative to the prediction from the model file's bodies, (n,).
 
-    Least squares together with friction; nan if bodies explain less than 1 % of a torque's squares,
-    or less than 5 times the residual, or if the factor is negative.
+    They are fitted by least squares together with friction. A factor is nan if it is negative, or
+    if the bodies explain less than 1 % of a torque's sum of squares or less than 5 times its
+    residual.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -193,11 +196,11 @@ def body_scale_factors(case: TorqueCase) -> Array:
 
 
 def _scale_normal_equations(case: TorqueCase) -> tuple[Array, Array]:
-    """Normal equations of each torque on friction and the model file's torque.
+    """Normal equations of each of the C torques on friction and the model file's torque.
 
     Returns:
-        Gram matrices, (C, 6, 6), and products with the torque, (C, 6): viscous, dry, rotor's,
-        Stribeck's and constant torque, then the model file's.
+        Gram matrices, (C, 6, 6), and products with the torque, (C, 6), of viscous, dry, rotor,
+        Stribeck and constant torque, and of the torque predicted from the model file.
     """
     products, count = case.products, case.products.shared_count
     columns = np.zeros((SCALED_COEFFICIENTS + 1, len(products.mean)))
@@ -215,7 +218,7 @@ def _scale_normal_equations(case: TorqueCase) -> tuple[Array, Array]:
 
 
 def _rescaled_reading(case: TorqueCase, sizes: Array) -> LogReading:
-    """Reading of the log with rescaled torques."""
+    """Interpretation of the log with rescaled torques."""
     joints = tuple(range(case.tree.n))
     hypothesis = Hypothesis("torque_size", joints, tuple(sizes.tolist()))
     return replace(case.as_given, hypotheses=(hypothesis,), kind="torque sizes")
@@ -224,7 +227,8 @@ def _rescaled_reading(case: TorqueCase, sizes: Array) -> LogReading:
 def _corrected_scale_factors(case: TorqueCase, verdict: TorqueVerdict) -> Array:
     """Scale factors of the torques after the corrections of a verdict, (n,).
 
-    Factors of an accepted reading with torque sizes, or else by least squares.
+    They are taken from an accepted interpretation with torque scale factors, or else fitted by
+    least squares.
     """
     for each in verdict.readings:
         if each.kind == "torque sizes":
@@ -248,10 +252,11 @@ def _residual_shares(case: TorqueCase, reading: LogReading) -> Array:
 def _diagnostics(
     case: TorqueCase, assessment: TorqueAssessment, *, rescaled: bool
 ) -> Iterator[Diagnostic]:
-    """Yield the diagnostics of a verdict: accepted, ambiguous or unexplained readings.
+    """Yield the diagnostics of a verdict: accepted, ambiguous or unexplained interpretations.
 
-    For torques right as given: contradictory scale factors, and positions that the data do not
-    determine (log evidence at most 20 nats below that of the positions as given).
+    If the torques are right as given, the diagnostics are contradictory scale factors, and
+    positions that the data do not determine (whose log evidence is at most 20 nats lower than that
+    of the positions as given).
     """
     verdict, tree = assessment.verdict, case.tree
     assert verdict is not None
@@ -287,9 +292,9 @@ def _accepted_diagnostics(
     *,
     rescaled: bool,
 ) -> Iterator[Diagnostic]:
-    """Yield diagnostics of accepted readings, with the corrected lines of the mapping.
+    """Yield diagnostics of accepted interpretations, with the corrected lines of the mapping.
 
-    In this order: gravity, other errors of the mapping, springs, torque scale factors.
+    The order is: gravity, other errors of the mapping, springs, torque scale factors.
     """
     by_kind = {each.kind: each for each in verdict.readings}
     gravity = [each for each in assessment.remedies if each.kind == "gravity"]
@@ -327,10 +332,10 @@ def _accepted_diagnostics(
 
 
 def gravity_description(reading: LogReading) -> str:
-    """Description of a reading's gravity for messages.
+    """Description of the gravity in an interpretation, for messages.
 
     Args:
-        reading: Reading of the log with another gravity.
+        reading: Interpretation of the log with another gravity.
     """
     size = float(np.linalg.norm(reading.gravity))
     if not size:
@@ -378,7 +383,7 @@ def _contradiction_diagnostics(
 def _unexplained_diagnostic(
     case: TorqueCase, assessment: TorqueAssessment, verdict: TorqueVerdict
 ) -> Diagnostic:
-    """Diagnostic of an unexplained log, with the likeliest rejected readings."""
+    """Diagnostic of an unexplained log, with the likeliest rejected interpretations."""
     shares = assessment.unexplained
     worst = np.argsort(-shares)[:3]
     joints = [
@@ -400,7 +405,7 @@ def _unexplained_diagnostic(
 
 
 def _description(case: TorqueCase, reading: LogReading) -> str:
-    """Description of a reading for messages."""
+    """Description of an interpretation, for messages."""
     if not reading.hypotheses:
         return "nothing wrong"
     parts = []

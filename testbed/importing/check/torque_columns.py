@@ -1,4 +1,4 @@
-"""Interpretations (readings) of a log with another torque order, sign, scale or gravity share."""
+"""Interpretations of a log with other torque order, sign or scale, or with gravity subtracted."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ MAX_SIGMA_RATIO, KNOWN_SIGMA = 2.0, 0.1
 def torque_order_and_sign_readings(
     case: TorqueCase, joints: Sequence[int]
 ) -> Iterator[LogReading]:
-    """Yield readings with torques of other columns or opposite signs.
+    """Yield interpretations of the log with torques of other columns or of opposite signs.
 
-    First all signs opposite (also with gravity along other axes), then single signs, then orders of
-    joints; no orders for robots with many joints.
+    The order is: all signs opposite (also with gravity along other axes), single signs opposite,
+    and joint orders. Joint orders are omitted for robots with many joints.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -85,14 +85,14 @@ def torque_order_and_sign_readings(
 def _opposite_axis_readings(
     case: TorqueCase, reading: LogReading, measured: Array
 ) -> Iterator[LogReading]:
-    """Yield readings with opposite torque signs and gravity along each other base axis.
+    """Yield interpretations with opposite torque signs and gravity along each other base axis.
 
-    Together they resemble a robot as given whose friction and inertial torques are reversed.
+    Both changes together resemble the robot as given with reversed friction and inertial torques.
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        reading: Reading with opposite torque signs.
-        measured: Torques with opposite signs, (C, T).
+        reading: Interpretation with opposite torque signs.
+        measured: Torques with opposite signs, (C, T), of C channels at T instants.
     """
     for name, axis in GRAVITY_DIRECTIONS.items():
         gravity = axis * case.gravity_magnitude
@@ -111,9 +111,9 @@ def _opposite_axis_readings(
 
 
 def compensated_gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
-    """Yield the reading of torques from which the model file's gravity torques were subtracted.
+    """Yield the interpretation that the model file's gravity torques were subtracted.
 
-    The gravity torques are added to the log's; no reading if they are zero.
+    The gravity torques are added to the torques of the log; nothing is yielded if they are zero.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -130,11 +130,11 @@ def compensated_gravity_readings(case: TorqueCase) -> Iterator[LogReading]:
 
 
 def scale_reading(case: TorqueCase) -> LogReading:
-    """Reading with one scale factor per joint torque, estimated jointly.
+    """Interpretation of the log with one scale factor per joint torque, estimated jointly.
 
-    A scale factor multiplies the bodies' torque; friction is in the units of the log. `sigma` is
-    of the logarithms relative to their mean; it is infinite for joints whose factor is not known,
-    which get the geometric mean of the known factors.
+    A scale factor multiplies the torque due to the bodies; friction is in the units of the log.
+    `sigma` refers to the logarithms of the factors relative to their mean. Joints whose factor is
+    not determined get the geometric mean of the determined factors and an infinite `sigma`.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -170,7 +170,7 @@ def scale_reading(case: TorqueCase) -> LogReading:
 
 
 def _log_scale_factors(case: TorqueCase, prior: Array) -> tuple[Array, Evidence, Array]:
-    """Log torque scale factors, (n,), by Gauss-Newton steps, with evidence and information, (n, n).
+    """Log torque scale factors, (n,), from Gauss-Newton steps; evidence; information, (n, n).
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -195,10 +195,11 @@ def _log_scale_factors(case: TorqueCase, prior: Array) -> tuple[Array, Evidence,
 def has_contradictory_scales(reading: LogReading) -> bool:
     """Test whether torque scale factors differ significantly between joints.
 
-    A logarithm is more than 4 standard deviations from the mean, and their range is above 0.15.
+    They do if a logarithm deviates by more than 4 standard deviations from the mean, and the range
+    of the logarithms exceeds 0.15.
 
     Args:
-        reading: Reading with other scale factors of the torques.
+        reading: Interpretation with scale factors of the torques.
     """
     known = np.isfinite(reading.sigma)
     logs = np.log(np.array(reading.hypotheses[0].values)[known])
@@ -212,9 +213,9 @@ def _scale_step(
     """Gradient, (n,), and information, (n, n), of log torque scale factors.
 
     Args:
-        products: Products of the columns, scaled by the present factors.
+        products: Products of the regressor columns, scaled by the current factors.
         estimate: Evidence with these columns.
-        mean: Prior mean of the coefficients shared by all channels, (P,).
+        mean: Prior mean of the P coefficients shared by all channels, (P,).
     """
     n, size = len(products.count), len(mean)
     values = np.zeros_like(products.moment)

@@ -1,12 +1,12 @@
-"""Linear models of a log's joint torques by bodies and friction, for any gravity.
+"""Linear models of a log's joint torques for bodies and friction, under any gravity.
 
-Torques are linear in bodies' parameters and linear in gravity,
+Torques are linear in the parameters theta of the bodies and linear in gravity g,
 
     tau_j = (Y_0 + g_x Y_x + g_y Y_y + g_z Y_z) theta + friction,
 
-so that the products of columns for any gravity follow from products computed once. Friction is
-viscous, dry, Stribeck's and load-dependent; a rotor, an offset, and crosstalk from the neighbours'
-torques are added.
+where Y are regressors, so the products of the columns for any gravity follow from products that are
+computed once. Friction is viscous, dry, Stribeck and load-dependent friction; the torque of the
+rotor, an offset, and crosstalk from the torques of neighbouring joints are added.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ RANK_TOLERANCE = 1e-10
 
 
 class Grams(NamedTuple):
-    """Gram matrices of P shared columns, shared with local columns, and m local columns.
+    """Gram matrices of P shared and m local columns for C channels.
 
     Attributes:
         shared: Products of the columns shared by all channels, (C, P, P).
         cross: Products of shared and local columns, (C, P, m).
-        local: Products of the columns of one channel, (C, m, m).
+        local: Products of the columns that belong to one channel, (C, m, m).
     """
 
     shared: Array
@@ -61,16 +61,16 @@ class Grams(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TorqueProducts:
-    """Products of the columns of torques and of measurements, quadratic in gravity.
+    """Products of regressor columns with each other and with torques, quadratic in gravity.
 
-    C channels, T instants, and p columns of each channel: P of bodies, shared by all channels, then
-    local ones of friction.
+    There are C channels, T instants, and p columns for each channel: first P columns of the bodies,
+    which are shared by all channels, then local columns of friction.
 
     Attributes:
         columns: Columns of bodies without gravity and of friction, in prior standard deviations,
             (C, T, p).
-        gravity_columns: Columns of bodies per unit of gravity along each axis, (C, T, 3, P), or (C,
-            T, 0, P) for a fixed gravity, which is in `columns`.
+        gravity_columns: Columns of bodies per unit of gravity along each axis, (C, T, 3, P); for a
+            fixed gravity, which is included in `columns`, (C, T, 0, P).
         measured: Torques, (C, T).
         valid: 1 for valid torques, 0 otherwise, (C, T).
         mean: Prior mean of each channel's coefficients, (p,).
@@ -97,7 +97,7 @@ class TorqueProducts:
 
     @cached_property
     def _cross(self) -> Array:
-        """Products of columns with gravity columns, (C, p, 3, P)."""
+        """Products of columns and gravity columns, (C, p, 3, P)."""
         channels, samples, axes, size = self.gravity_columns.shape
         flat = self.gravity_columns.reshape(channels, samples, axes * size)
         cross = self.columns.transpose(0, 2, 1) @ flat
@@ -117,10 +117,10 @@ class TorqueProducts:
         return np.asarray(self.valid.sum(axis=1))
 
     def square_sums(self, measured: Array | None = None) -> Array:
-        """Sums of squared torques per channel, (C,) [N^2 m^2 or N^2].
+        """Sum of squared torques for each channel, (C,) [N^2 m^2 or N^2].
 
         Args:
-            measured: Torques instead of the log's, (C, T).
+            measured: Torques, (C, T); default: the torques of the log.
         """
         torque = self.measured if measured is None else measured
         return np.asarray((self.valid * torque**2).sum(axis=1))
@@ -128,11 +128,11 @@ class TorqueProducts:
     def products(
         self, gravity: Array, measured: Array | None = None
     ) -> ChannelProducts:
-        """Column products about the prior mean, under a given gravity.
+        """Products of columns and of residuals of the prior mean, under a given gravity.
 
         Args:
             gravity: Gravity, (3,) [m/s^2].
-            measured: Torques instead of the log's, (C, T).
+            measured: Torques, (C, T); default: the torques of the log.
         """
         torque = self.valid * (self.measured if measured is None else measured)
         moment, size = (torque[:, None] @ self.columns)[:, 0], self.shared_count
@@ -144,7 +144,7 @@ class TorqueProducts:
         return ChannelProducts(*grams, moment - expected, square, self.valid_count)
 
     def _gravity_products(self, gravity: Array) -> tuple[Grams, Array]:
-        """Gram matrices under a gravity, and their products with the prior mean, cached."""
+        """Gram matrices under a given gravity, and their products with the prior mean, cached."""
         key = tuple(gravity.tolist())
         if key not in self._cache:
             self._cache.clear()  # only the last is kept: the arrays are large
@@ -152,7 +152,7 @@ class TorqueProducts:
         return self._cache[key]
 
     def _computed_gravity_products(self, gravity: Array) -> tuple[Grams, Array]:
-        """Gram matrices under a gravity, and their products with the prior mean."""
+        """Gram matrices under a given gravity, and their products with the prior mean."""
         size = self.shared_count
         shared, cross = self._gram[:, :size, :size], self._gram[:, :size, size:]
         if self.gravity_columns.shape[2]:
@@ -177,8 +177,8 @@ class TorqueProducts:
 
         Args:
             gravity: Gravity, (3,) [m/s^2].
-            estimate: Evidence of these columns.
-            measured: Torques instead of the log's, (C, T).
+            estimate: Evidence with these columns.
+            measured: Torques, (C, T); default: the torques of the log.
         """
         torque = self.valid * (self.measured if measured is None else measured)
         values = self.mean + estimate.coefficients
@@ -191,11 +191,11 @@ class TorqueProducts:
     def gravity_step(
         self, gravity: Array, estimate: Evidence, residual: Array
     ) -> tuple[Array, Array]:
-        """Gradient, (3,), and information, (3, 3), of gravity, other coefficients marginalised.
+        """Gradient, (3,), and information, (3, 3), of gravity; other coefficients are marginalised.
 
         Args:
             gravity: Gravity, (3,) [m/s^2].
-            estimate: Evidence of these columns under this gravity.
+            estimate: Evidence with these columns under this gravity.
             residual: Residual torques, (C, T).
         """
         bodies = (self.mean + estimate.coefficients)[0, : self.shared_count]
@@ -212,7 +212,8 @@ class TorqueProducts:
 def friction_coefficients(estimate: Evidence) -> tuple[Array, Array]:
     """Viscous and Coulomb friction of an estimate, and standard deviations, (C, 2) each.
 
-    Relative to each channel's size; errors of the friction law are included.
+    The values are relative to the size of each of the C channels; the standard deviations include
+    errors of the friction law.
 
     Args:
         estimate: Evidence of torques.
@@ -236,7 +237,7 @@ def torque_products(
     gravity: Array | None = None,
     spring_joints: Sequence[int] = (),
 ) -> TorqueProducts:
-    """Column products of joint torques on bodies, friction and springs.
+    """Products of the regressor columns of joint torques for bodies, friction and springs.
 
     Args:
         tree: Robot.
@@ -279,7 +280,8 @@ def torque_products(
 def spring_torques(signals: TorqueSignals, size: Array) -> Array:
     """Spring torques at one prior standard deviation of stiffness, (T, n) [N m or N].
 
-    Proportional to the position about its mean, with an rms of 30 % of the channel's.
+    They are proportional to the deviation of the position from its mean, with an rms of 30 % of the
+    channel's rms, at T instants.
 
     Args:
         signals: Joint torques and motion of the log.
@@ -291,7 +293,7 @@ def spring_torques(signals: TorqueSignals, size: Array) -> Array:
 
 
 def _gravity_columns(tree: Tree, q: Array, prior: BodyPrior) -> Array:
-    """Torques of bodies per unit of gravity along each base axis, (C, T, 3, 10 n)."""
+    """Torques due to the bodies per unit of gravity along each base axis, (C, T, 3, 10 n)."""
     still = Motion.at_rest(q)
     # gravity acts on masses and first moments alone
     affected = np.flatnonzero(np.abs(prior.barycentric[:, :4]).max(axis=(0, 1)))
@@ -305,9 +307,10 @@ def _gravity_columns(tree: Tree, q: Array, prior: BodyPrior) -> Array:
 
 
 def _identifiable_basis(parts: Sequence[Array]) -> Array:
-    """Orthonormal basis of the identifiable parameters, (10 n, P).
+    """Orthonormal basis of the identifiable parameters, (10 n, P), of dimension P.
 
-    Eigenvectors of the sum of all Gram matrices, with eigenvalues above 1e-10 of the largest.
+    It consists of the eigenvectors of the sum of all Gram matrices whose eigenvalues exceed 1e-10
+    times the largest eigenvalue.
 
     Args:
         parts: Columns of the parameters, (..., 10 n) each.
@@ -319,9 +322,9 @@ def _identifiable_basis(parts: Sequence[Array]) -> Array:
 
 
 def _local_columns(tree: Tree, signals: TorqueSignals, size: Array) -> Array:
-    """Friction, offset and neighbours' torques of each channel, in sigmas, (C, T, 8).
+    """Friction, offset and neighbours' torques of each channel, in standard deviations, (C, T, 8).
 
-    In the order of `LOCAL_SIGMA`: viscous, dry, rotor's, Stribeck's, constant torque,
+    The order is that of `LOCAL_SIGMA`: viscous, dry, rotor, Stribeck and constant torque,
     load-dependent friction, torque of the parent joint, torque of the first child joint.
     """
     torque, friction = signals.torque, signals.friction

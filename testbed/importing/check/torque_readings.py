@@ -1,4 +1,4 @@
-"""Interpretations (readings) of a log of joint torques, with Bayesian evidence."""
+"""Interpretations of a log of joint torques, with Bayesian evidence."""
 
 from __future__ import annotations
 
@@ -47,14 +47,16 @@ SCREENING_INSTANTS = 80
 class LogReading:
     """Interpretation of a log by hypotheses on its mapping and gravity, with its evidence.
 
+    The torques have C channels at T instants.
+
     Attributes:
-        hypotheses: Hypotheses that hold together; none for the log as given.
+        hypotheses: Hypotheses that hold together; empty for the log as given.
         evidence: Evidence of the torques.
-        products: Products of the columns.
+        products: Products of the regressor columns.
         gravity: Gravity, (3,) [m/s^2].
-        measured: Torques other than those of the products, (C, T), or None.
-        kind: Family of hypotheses.
-        sigma: Standard deviations of continuous values: of a direction [rad], a delay [s].
+        measured: Torques, (C, T), if they differ from the torques in `products`; otherwise None.
+        kind: Category of the hypotheses.
+        sigma: Standard deviations of continuous values: of a direction [rad] or a delay [s].
         log_odds: Log prior odds plus log posterior volume of continuous values [nats].
     """
 
@@ -69,7 +71,7 @@ class LogReading:
 
     @property
     def log_posterior(self) -> float:
-        """Log posterior probability, up to a constant of the log [nats]."""
+        """Log posterior probability, up to a constant that depends on the log [nats]."""
         return self.evidence.log_evidence + self.log_odds
 
     @cached_property
@@ -79,7 +81,7 @@ class LogReading:
 
     @cached_property
     def square_sums(self) -> Array:
-        """Sums of squared torques per channel, (C,) [N^2 m^2 or N^2]."""
+        """Sum of squared torques for each channel, (C,) [N^2 m^2 or N^2]."""
         return self.products.square_sums(self.measured)
 
     def relative_rms(self, live: Array) -> float:
@@ -94,7 +96,7 @@ class LogReading:
 
 @dataclass(frozen=True, eq=False)
 class TorqueCase:
-    """Joint torques of a log, the robot, and the prior of its bodies.
+    """Joint torques of a log (C channels), the robot, and the prior of its bodies.
 
     Attributes:
         tree: Robot.
@@ -102,7 +104,7 @@ class TorqueCase:
         prior: Prior of the robot's bodies.
         gravity: Gravity as stated by the log, (3,) [m/s^2].
         inflation: Number of correlated instants of each channel that count as one, (C,).
-        motion_known: True if positions and gravity are known, as by a force plate.
+        motion_known: True if positions and gravity are known, for example from a force plate.
         spring_joints: Indices of joints with a spring.
     """
 
@@ -121,7 +123,7 @@ class TorqueCase:
 
     @cached_property
     def channel_rms(self) -> Array:
-        """Rms of each channel's torques, (C,) [N m or N]; at least 1 % of the largest."""
+        """Rms of each channel's torques, (C,) [N m or N]; at least 1 % of the largest rms."""
         counted = self.signals.valid
         square = (counted * self.signals.torque**2).sum(axis=0)
         rms = (
@@ -139,14 +141,14 @@ class TorqueCase:
 
     @cached_property
     def gravity_magnitude(self) -> float:
-        """Magnitude of gravity as stated, or the standard one [m/s^2]."""
+        """Magnitude of the stated gravity, or of standard gravity if that is zero [m/s^2]."""
         return float(np.linalg.norm(self.gravity)) or DEFAULT_GRAVITY
 
     @cached_property
     def products(self) -> TorqueProducts:
-        """Column products of the log as given; gravity is free for up to 12 joints.
+        """Products of regressor columns for the log as given.
 
-        Gravity is fixed if positions and gravity are known.
+        Gravity is free for robots with up to 12 joints, unless positions and gravity are known.
         """
         return self.products_under(
             self.gravity if self.motion_known or self.has_many_joints else None
@@ -154,11 +156,11 @@ class TorqueCase:
 
     @property
     def has_many_joints(self) -> bool:
-        """True if the robot has too many joints for all hypotheses."""
+        """True if the robot has too many joints for testing all hypotheses."""
         return self.tree.n > MAX_SEARCHED_JOINTS
 
     def products_under(self, gravity: Array | None) -> TorqueProducts:
-        """Column products of the log under a given or free gravity.
+        """Products of regressor columns for the log under a given or free gravity.
 
         Args:
             gravity: Fixed gravity, (3,) [m/s^2]; None for a free gravity.
@@ -174,17 +176,17 @@ class TorqueCase:
 
     @cached_property
     def as_given(self) -> LogReading:
-        """Reading of the log as its mapping states it."""
+        """Interpretation of the log as stated by its mapping."""
         estimate = self.fit(self.products, self.gravity)
         return LogReading((), estimate, self.products, self.gravity)
 
     def with_inflation(self, reading: LogReading) -> TorqueCase:
-        """Case with inflation factors from the residual autocorrelation of a reading.
+        """Case with inflation factors from the residual autocorrelation of an interpretation.
 
-        They leave at most 80 effective instants of each channel.
+        The factors leave at most 80 effective instants of each channel.
 
         Args:
-            reading: Likeliest reading.
+            reading: Likeliest interpretation.
         """
         count = self.signals.valid.sum(axis=0)
         inflation = np.maximum(
@@ -202,14 +204,14 @@ class TorqueCase:
         variance: Array | None = None,
         rounds: int = 4,
     ) -> Evidence:
-        """Evidence of the torques for the columns of one reading.
+        """Evidence of the torques with the regressor columns of one interpretation.
 
         Args:
             products: Products of the columns.
             gravity: Gravity, (3,) [m/s^2].
-            measured: Torques instead of the log's, (C, T).
+            measured: Torques, (C, T); default: the torques of the log.
             variance: Start values of the channels' noise variances, (C,).
-            rounds: Iterations for the noise variances.
+            rounds: Number of iterations for the noise variances.
         """
         inputs = products.products(gravity, measured)
         return self.evidence(inputs, variance, rounds)
@@ -225,7 +227,7 @@ class TorqueCase:
         Args:
             products: Products of the columns and measurements.
             variance: Start values of the channels' noise variances, (C,).
-            rounds: Iterations for the noise variances.
+            rounds: Number of iterations for the noise variances.
         """
         estimate = linear_evidence(
             products, self.noise_floor, self.inflation, variance, rounds
@@ -249,13 +251,13 @@ class TorqueCase:
         measured: Array,
         kind: str,
     ) -> LogReading:
-        """Reading with other torques and the same columns.
+        """Interpretation with other torques and the same regressor columns.
 
         Args:
-            hypotheses: Hypotheses of the reading.
+            hypotheses: Hypotheses of the interpretation.
             odds: Log prior odds [nats].
-            measured: Torques of the reading, (C, T).
-            kind: Family of hypotheses.
+            measured: Torques of the interpretation, (C, T).
+            kind: Category of the hypotheses.
         """
         estimate = self.fit(self.products, self.gravity, measured)
         return LogReading(
@@ -271,12 +273,12 @@ class TorqueCase:
     def corrected_reading(
         self, hypotheses: tuple[Hypothesis, ...], odds: float, kind: str, count: int = 0
     ) -> LogReading:
-        """Reading with columns of signals corrected by hypotheses.
+        """Interpretation with regressor columns from signals corrected by hypotheses.
 
         Args:
-            hypotheses: Hypotheses of the reading.
+            hypotheses: Hypotheses of the interpretation.
             odds: Log prior odds [nats].
-            kind: Family of hypotheses.
+            kind: Category of the hypotheses.
             count: Largest number of instants; 0 for all.
         """
         signals = self.signals.thinned(count) if count else self.signals
@@ -288,10 +290,10 @@ class TorqueCase:
         )
 
     def reevaluated_reading(self, reading: LogReading) -> LogReading:
-        """Reading re-evaluated with the inflation factors of this case.
+        """Interpretation re-evaluated with the inflation factors of this case.
 
         Args:
-            reading: Reading evaluated with other inflation factors.
+            reading: Interpretation evaluated with other inflation factors.
         """
         estimate = self.fit(
             reading.products, reading.gravity, reading.measured, rounds=5
@@ -305,16 +307,14 @@ def correlation_times(residual: Array) -> Array:
     The sum ends before the first autocorrelation below 0.05; times are between 1 and T / 12.
 
     Args:
-        residual: Residuals, (C, T).
+        residual: Residuals of C channels at T instants, (C, T).
     """
-    from scipy.signal import correlate
-
     times = np.ones(len(residual))
     samples = residual.shape[1]
     for k, channel in enumerate(residual):
         if not channel.any():
             continue
-        lagged = correlate(channel, channel, method="fft")[samples - 1 :]
+        lagged = np.correlate(channel, channel, "full")[samples - 1 :]
         correlation = lagged / lagged[0]
         uncorrelated = np.flatnonzero(correlation[1:] < CORRELATION_THRESHOLD)
         last = uncorrelated[0] + 1 if len(uncorrelated) else samples

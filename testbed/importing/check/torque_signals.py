@@ -1,4 +1,4 @@
-"""Low-passed joint torques and motion of a log, at a limited number of instants."""
+"""Low-pass filtered joint torques and motion of a log, at a limited number of instants."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ MAX_CONSTANT_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class TorqueSignals:
-    """Signals of n joints at T instants.
+    """Signals of n joints at T instants, from M samples.
 
     Attributes:
         q: Positions, (T, n) [rad or m].
         qd: Velocities, (T, n) [rad/s or m/s].
         qdd: Accelerations, (T, n) [rad/s^2 or m/s^2].
-        friction: Viscous, dry, rotor's and Stribeck's torques, each of about unit size, (T, n, 4).
+        friction: Viscous, dry, rotor and Stribeck torques, each of about unit size, (T, n, 4).
         valid: Mask of valid torques, (T, n).
-        low_passed_torque: Low-passed torques at all samples, (M, n) [N m or N].
+        low_passed_torque: Low-pass filtered torques at all samples, (M, n) [N m or N].
         sample_indices: Indices of the instants' samples, (T,).
         rate: Sampling rate [Hz].
         has_measured_velocity: True if measured velocities confirm order and signs of the positions.
@@ -65,7 +65,7 @@ class TorqueSignals:
 
         Args:
             delay: Delay of the torques [s].
-            lag: Time constant of the torques' low-pass [s].
+            lag: Time constant of the first-order lag of the torques [s].
         """
         torque = self.low_passed_torque
         if lag:
@@ -106,11 +106,11 @@ class TorqueSignals:
 def torque_signals(
     recording: Recording, faults: Sequence[ChannelFault] = ()
 ) -> TorqueSignals | None:
-    """Low-passed torque and motion signals; None for too short a recording.
+    """Low-pass filtered torque and motion signals; None for too short a recording.
 
-    Below 4 Hz, at 8 instants per second and 240 at most, without the filter's transients at both
-    ends; fewer than 12 instants are too few. Velocities and accelerations are differentiated
-    positions.
+    The signals are limited to 4 Hz and taken at 8 instants per second, at most 240, without the
+    filter's transients at both ends; fewer than 12 instants are too few. Velocities and
+    accelerations are derivatives of the positions.
 
     Args:
         recording: Recording in the robot's order of joints.
@@ -142,21 +142,35 @@ def torque_signals(
 
 
 def _low_passed(signal: Array, rate: float, cutoff: float) -> Array:
-    """Zero-phase Butterworth low-pass of a signal, (M, n)."""
-    from scipy.signal import butter, sosfiltfilt
+    """Zero-phase low-pass of a signal, with the squared gain of a Butterworth filter, (M, n).
 
-    low_pass = butter(3, cutoff / (rate / 2), output="sos")
-    pad = min(3 * int(rate / cutoff), len(signal) - 2)
-    return np.asarray(sosfiltfilt(low_pass, signal, axis=0, padlen=pad))
+    The signal is continued point-symmetrically at both ends: the deviations from the line between
+    its ends are a sine series, whose coefficients are multiplied by the gain.
+
+    Args:
+        signal: Samples, (M, n).
+        rate: Sampling rate [Hz].
+        cutoff: Cutoff frequency of the third-order Butterworth filter [Hz].
+    """
+    from scipy.fft import dst, idst  # scipy.signal takes a second
+
+    filtered = np.linspace(signal[0], signal[-1], len(signal))
+    harmonics = np.arange(1, len(signal) - 1)
+    warped = np.tan(np.pi * harmonics / (2 * (len(signal) - 1)))
+    gain = 1.0 / (1.0 + (warped / np.tan(np.pi * cutoff / rate)) ** 6)
+    coefficients = dst((signal - filtered)[1:-1], type=1, axis=0)
+    filtered[1:-1] += idst(gain[:, None] * coefficients, type=1, axis=0)
+    return filtered
 
 
 def _friction_columns(
     qd: Array, qdd: Array, low_pass: Callable[[Array], Array]
 ) -> Array:
-    """Viscous, dry, rotor's and Stribeck's torques of about unit size, (M, n, 4).
+    """Viscous, dry, rotor and Stribeck torques of about unit size, (M, n, 4).
 
-    With v the 98th percentile of a joint's speed: qd / v; the sign of qd as tanh(qd / (0.03 v));
-    qdd over its rms; and the sign times exp(-(qd / (0.15 v))^2).
+    With v the 98th percentile of a joint's speed, the columns are: qd / v; the smoothed sign
+    tanh(qd / (0.03 v)); qdd divided by its rms; and this sign times exp(-(qd / (0.15 v))^2). Dry
+    and Stribeck torques are low-pass filtered.
     """
     fastest = np.percentile(np.abs(qd), 98, axis=0) + 1e-9
     sense = np.tanh(qd / (DRY_SPEED_SHARE * fastest))
@@ -177,7 +191,7 @@ def _valid_mask(
         recording: Recording in the robot's order of joints.
         faults: Faults of channels.
         at: Indices of the instants' samples, (T,).
-        reach: Samples that the filter reaches to either side.
+        reach: Half-length of the filter in samples.
     """
     is_alive = [not _is_constant(each) for each in recording.measured("torque").T]
     valid = np.tile(is_alive, (len(at), 1))
@@ -190,19 +204,19 @@ def _valid_mask(
 
 
 def _is_constant(channel: Array) -> bool:
-    """True if a channel, (M,), has one value at more than half of the samples."""
+    """Test whether a channel, (M,), has one value at more than half of the samples."""
     return bool((channel == np.median(channel)).mean() > MAX_CONSTANT_SHARE)
 
 
 def _derivative(signal: Array, rate: float) -> Array:
-    """Time derivative of a signal by central differences of fourth order, (M, n)."""
+    """Time derivative of a signal by fourth-order central differences, (M, n)."""
     slope = np.gradient(signal, axis=0)
     slope[2:-2] = (8 * (signal[3:-1] - signal[1:-3]) - (signal[4:] - signal[:-4])) / 12
     return np.asarray(slope * rate)
 
 
 def _interpolation(signal: Array, at: AnyArray) -> Array:
-    """Signal, (T, n), at fractional samples by linear interpolation, held beyond its ends."""
+    """Signal, (T, n), interpolated linearly at fractional samples; constant beyond its ends."""
     samples = np.arange(len(signal))
     return np.column_stack([np.interp(at, samples, each) for each in signal.T])
 
@@ -242,7 +256,7 @@ def _with_torque_order(signals: TorqueSignals, hypothesis: Hypothesis) -> Torque
 def _with_torque_factors(
     signals: TorqueSignals, hypothesis: Hypothesis
 ) -> TorqueSignals:
-    """Signals with the torques' signs reversed or scale factors removed."""
+    """Signals with torque signs reversed or torque scale factors removed."""
     factors = np.ones(signals.low_passed_torque.shape[1])
     factors[list(hypothesis.joints)] = np.divide(1.0, hypothesis.values or -1.0)
     return replace(signals, low_passed_torque=signals.low_passed_torque * factors)
@@ -251,7 +265,7 @@ def _with_torque_factors(
 def _with_delay_removed(
     signals: TorqueSignals, hypothesis: Hypothesis
 ) -> TorqueSignals:
-    """Signals with the torques' delay removed."""
+    """Signals with the delay of the torques removed."""
     (delay,) = hypothesis.values
     instants = np.arange(len(signals.low_passed_torque)) + delay * signals.rate
     return replace(
@@ -260,7 +274,7 @@ def _with_delay_removed(
 
 
 def _identity(signals: TorqueSignals, _: Hypothesis) -> TorqueSignals:
-    """Signals unchanged."""
+    """Unchanged signals."""
     return signals
 
 

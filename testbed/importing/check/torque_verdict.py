@@ -1,7 +1,7 @@
-"""Bayesian model comparison of interpretations (readings) of a torque log, by thresholds.
+"""Bayesian model comparison of interpretations of a torque log, by thresholds.
 
-A reading is accepted if its residuals are as small as those of correct logs, its bodies are
-possible for the robot, and its evidence is far larger than that of all different readings.
+An interpretation (`LogReading`) is accepted if its residuals are as small as those of correct logs,
+its bodies are possible for the robot, and its evidence exceeds that of all others by far.
 """
 
 from __future__ import annotations
@@ -87,10 +87,10 @@ Outcome = Literal["as given", "explained", "not distinguished", "not explained"]
 
 
 class Rejected(NamedTuple):
-    """Rejected reading, likelier than the log as given, with the reasons.
+    """Rejected interpretation that is likelier than the log as given, with the reasons.
 
     Attributes:
-        reading: Rejected reading.
+        reading: Rejected interpretation.
         reasons: Reasons for the rejection.
     """
 
@@ -100,17 +100,18 @@ class Rejected(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TorqueVerdict:
-    """Result of model comparison for a log of torques.
+    """Result of the model comparison for a log of torques.
 
     Attributes:
-        outcome: "as given" for a correct log, "explained" by readings, "not distinguished" between
-            readings, or "not explained".
-        case: Torques as evaluated last.
-        readings: Accepted readings, applied one after another.
-        equivalent_readings: Readings with equal evidence, the likeliest first.
-        rejected_readings: Likeliest rejected readings.
-        ranked_readings: All readings, the likeliest first.
-        log_evidence_ratio: Log evidence ratio of the accepted readings to the log as given [nats].
+        outcome: "as given" for a correct log, "explained" by interpretations, "not distinguished"
+            between interpretations, or "not explained".
+        case: Torques as last evaluated.
+        readings: Accepted interpretations, applied one after another.
+        equivalent_readings: Interpretations with equal evidence, the likeliest first.
+        rejected_readings: Likeliest rejected interpretations.
+        ranked_readings: All interpretations, the likeliest first.
+        log_evidence_ratio: Log evidence of the accepted interpretations relative to the log as
+            given [nats].
     """
 
     outcome: Outcome
@@ -123,14 +124,14 @@ class TorqueVerdict:
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses of all accepted readings."""
+        """Hypotheses of all accepted interpretations."""
         return tuple(h for each in self.readings for h in each.hypotheses)
 
 
 def compare_readings(case: TorqueCase, steps: int = MAX_MISTAKES) -> TorqueVerdict:
-    """Compare readings of a log, correcting up to a few mistakes one by one.
+    """Compare interpretations of a log, and correct a few mistakes one by one.
 
-    If all single readings are rejected, pairs are tried.
+    If all single interpretations are rejected, pairs are tried.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -147,7 +148,7 @@ def compare_readings(case: TorqueCase, steps: int = MAX_MISTAKES) -> TorqueVerdi
 
 
 def _joined_verdict(verdict: TorqueVerdict, steps: int) -> TorqueVerdict:
-    """Verdict on the log corrected by an accepted reading, joined with this reading."""
+    """Verdict on the log corrected by an accepted interpretation, joined with the latter."""
     (reading,) = verdict.readings
     if reading.kind in TERMINAL_KINDS:
         return verdict
@@ -166,10 +167,10 @@ def _joined_verdict(verdict: TorqueVerdict, steps: int) -> TorqueVerdict:
 
 
 def _pair_verdict(verdict: TorqueVerdict) -> TorqueVerdict:
-    """Verdict from pairs of mistakes, beginning with the likeliest single readings.
+    """Verdict from pairs of mistakes, beginning with the likeliest single interpretations.
 
-    The best pair must lead by 20 nats, and leave a log that is right as given; otherwise the
-    verdict remains.
+    The best pair must lead by 20 nats and leave a log that is right as given; otherwise the
+    original verdict is returned.
     """
     case, candidates = verdict.case, list[LogReading]()
     for each in verdict.ranked_readings[:12]:
@@ -210,11 +211,11 @@ def _pair_verdict(verdict: TorqueVerdict) -> TorqueVerdict:
 
 
 def case_without_mistake(case: TorqueCase, reading: LogReading) -> TorqueCase:
-    """Case with signals, gravity and springs corrected by a reading.
+    """Case with signals, gravity and springs corrected by an interpretation.
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        reading: Accepted reading.
+        reading: Accepted interpretation.
     """
     signals = case.signals.with_corrections(*reading.hypotheses)
     springs = [each.joints for each in reading.hypotheses if each.kind == "spring"]
@@ -231,7 +232,7 @@ def case_without_mistake(case: TorqueCase, reading: LogReading) -> TorqueCase:
 
 
 def single_reading_verdict(case: TorqueCase) -> TorqueVerdict:
-    """Compare all single readings of a log, and accept at most one.
+    """Compare all single interpretations of a log, and accept at most one.
 
     Args:
         case: Joint torques of a log, with robot and prior.
@@ -256,7 +257,7 @@ def single_reading_verdict(case: TorqueCase) -> TorqueVerdict:
 def _refined_readings(
     case: TorqueCase, readings: Sequence[LogReading]
 ) -> list[LogReading]:
-    """Likeliest readings, re-evaluated with residual autocorrelation."""
+    """Likeliest interpretations, re-evaluated with the autocorrelation of the residuals."""
     directions = [*DIRECTION_KINDS, "part of gravity"]
     others = [each for each in readings[1:] if each.kind not in directions]
     others.sort(key=lambda each: -each.log_posterior)
@@ -275,11 +276,11 @@ def _refined_readings(
 
 
 def _threshold_verdict(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
-    """Verdict by thresholds on fit, possible bodies and evidence margin.
+    """Verdict by thresholds on residuals, on plausible bodies and on the evidence margin.
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        ranked: All readings, the likeliest first.
+        ranked: All interpretations, the likeliest first.
     """
     as_given = next(each for each in ranked if not each.hypotheses)
     live = case.usable_channels
@@ -353,16 +354,17 @@ def _threshold_verdict(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerd
 
 
 def _have_equal_evidence(one: LogReading, other: LogReading) -> bool:
-    """True if two readings have the same log evidence within 0.5 nats."""
+    """Test whether two interpretations have equal log evidence within 0.5 nats."""
     return abs(one.evidence.log_evidence - other.evidence.log_evidence) < EQUAL_EVIDENCE
 
 
 def _reveals_unmodelled_error(
     case: TorqueCase, first: LogReading, reading: LogReading
 ) -> bool:
-    """Test whether a rejected reading reveals an unmodelled error.
+    """Test whether a rejected interpretation reveals an unmodelled error.
 
-    It is likelier by 40 nats, and the rms residual of a channel is smaller by a factor of 1.5.
+    It does if it is likelier by 40 nats and reduces the rms residual of a channel by a factor of
+    1.5.
     """
     if reading.kind in ("delay", "lag"):
         return False  # model errors look like delays
@@ -374,7 +376,7 @@ def _reveals_unmodelled_error(
 
 
 def _final_reading(case: TorqueCase, reading: LogReading) -> LogReading | None:
-    """Reading with final values and standard deviations; None for inconsistent delays."""
+    """Interpretation with final values and standard deviations; None for inconsistent delays."""
     if reading.kind in DIRECTION_KINDS and reading.sigma.size:
         return rounded_to_axis(with_dispersion(case, reading))
     if reading.kind in ("delay", "lag"):
@@ -395,13 +397,13 @@ def _final_reading(case: TorqueCase, reading: LogReading) -> LogReading | None:
 def _reasons(
     case: TorqueCase, first: LogReading, reading: LogReading, *, implausible: bool
 ) -> list[str]:
-    """Reasons to reject a reading; empty for an acceptable one.
+    """Reasons to reject an interpretation; empty if it is acceptable.
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        first: Reading of the log as given.
-        reading: Candidate reading.
-        implausible: True if the log as given has impossible bodies or friction.
+        first: Interpretation of the log as given.
+        reading: Candidate interpretation.
+        implausible: True if the log as given implies impossible bodies or friction.
     """
     live, is_delay = case.usable_channels, reading.kind in ("delay", "lag")
     reasons = []
@@ -445,13 +447,13 @@ def _direction_differs(case: TorqueCase, reading: LogReading) -> bool:
 
 
 def is_possible(case: TorqueCase, reading: LogReading) -> bool:
-    """Test whether friction is dissipative and masses are near the model file's.
+    """Test whether friction is dissipative and masses are near the model file's masses.
 
-    Near: deviations below 5 prior standard deviations, and an rms below 2 over all masses.
+    Masses are near if they deviate by less than 5 prior standard deviations, and by an rms below 2.
 
     Args:
         case: Joint torques of a log, with robot and prior.
-        reading: Reading of the log.
+        reading: Interpretation of the log.
     """
     values, sigma = friction_coefficients(reading.evidence)
     is_dissipative = values.sum(axis=1) > -np.maximum(
@@ -468,7 +470,7 @@ def is_possible(case: TorqueCase, reading: LogReading) -> bool:
 
 
 def _relative_rms(case: TorqueCase, reading: LogReading) -> Array:
-    """Relative rms residual of each recorded torque column, (C,)."""
+    """Relative rms residual of each of the C recorded torque columns, (C,)."""
     squares = reading.evidence.residual_squares.copy()
     column = np.arange(case.tree.n)
     for each in reading.hypotheses:
@@ -483,11 +485,11 @@ def _relative_rms(case: TorqueCase, reading: LogReading) -> Array:
 
 
 def are_equivalent(one: LogReading, other: LogReading) -> bool:
-    """Test whether two readings are equal, or one contains the other: directions within 5 deg.
+    """Test whether two interpretations agree (gravity within 5 deg) or one contains the other.
 
     Args:
-        one: First reading.
-        other: Second reading.
+        one: First interpretation.
+        other: Second interpretation.
     """
     kinds = {one.kind, other.kind}
     if kinds <= {"no gravity", "part of gravity"} or kinds <= {"delay", "lag"}:

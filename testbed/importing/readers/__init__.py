@@ -1,7 +1,7 @@
-"""Readers of foreign formats: one module each, with `read_file` or, by topics, `tables`.
+"""Readers of foreign formats: one module each, with `read_file` or, for several topics, `tables`.
 
-In: a file.
-Out: columns by name, with the file's values.
+Input: a file.
+Output: columns by name, with the values as in the file.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ def open_foreign_table(path: Path, topic: str | None = None) -> ForeignTable:
     """Open a table in a file of another program.
 
     Args:
-        path: File with an ending in `MODULE_OF_ENDING`, text also compressed as .gz; or a folder
+        path: File with an extension in `MODULE_OF_ENDING`, text also compressed as .gz; or a folder
             with one of the files in `FOLDER_MARKS`.
-        topic: Topic of a bag or entity of a Rerun file, if the file holds several tables; else
+        topic: Topic of a bag or entity of a Rerun file, if the file holds several tables; otherwise
             None.
 
     Raises:
         RecordingError: The file is missing or damaged, a library is not installed, or the file
             holds several tables and `topic` is None.
-        UnknownName: The ending is not known.
+        UnknownName: The extension is not known.
     """
     module = _reader_module(path)
     if topic is not None and not FORMATS[module].get("topics"):
@@ -69,20 +69,20 @@ def open_foreign_table(path: Path, topic: str | None = None) -> ForeignTable:
 
 
 def read_tables(path: Path) -> TablesByTopic:
-    """Tables of a file by topic; a single table has the topic "".
+    """Tables of a file, keyed by topic; a single table has the topic "".
 
     Args:
         path: File or folder.
 
     Raises:
         RecordingError: The file is damaged, or a library is not installed.
-        UnknownName: The ending is not known.
+        UnknownName: The extension is not known.
     """
     return _tables_of_module(path, _reader_module(path), None)
 
 
 def _tables_of_module(path: Path, module: str, topic: str | None) -> TablesByTopic:
-    """Tables of a file by topic, read by a module of this package.
+    """Tables of a file, keyed by topic, read by a module of this package.
 
     Modules whose libraries can crash run in a child process.
 
@@ -92,7 +92,7 @@ def _tables_of_module(path: Path, module: str, topic: str | None) -> TablesByTop
         topic: Topic of a single table; None for all tables.
 
     Raises:
-        RecordingError: The file holds no numbers.
+        RecordingError: The file contains no numbers.
     """
     isolated = FORMATS[module].get("isolated")
     contents = (read_tables_in_child if isolated else read_tables_directly)(
@@ -111,8 +111,8 @@ def _reader_module(path: Path) -> str:
     """Name of the module that reads a file.
 
     Raises:
-        RecordingError: The path is no file, and no folder of a known format.
-        UnknownName: The ending is not known.
+        RecordingError: The path is neither a file nor a folder of a known format.
+        UnknownName: The extension is not known.
     """
     if path.is_dir():
         for module, mark in FOLDER_MARKS.items():
@@ -146,7 +146,7 @@ def _reader_module(path: Path) -> str:
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse a folder with pipes, devices, links to the outside or too many files.
+    """Refuse a folder with pipes, devices, links out of the folder, or too many files.
 
     Raises:
         RecordingError: The folder contains such an entry.

@@ -1,7 +1,7 @@
 """C3D files of motion laboratories: analog channels (force plates) and points.
 
-Columns are analog/LABEL and point/LABEL/x, y, z, with times analog/time and point/time [s] from the
-rates in the file. Points that the cameras did not detect are nan.
+Columns are analog/LABEL and point/LABEL/x, y, z, with times analog/time and point/time [s] computed
+from the rates in the file. Points that the cameras did not detect are nan.
 
 Source    The C3D File Format User Guide, Motion Lab Systems
 """
@@ -44,10 +44,11 @@ def read_file(path: Path) -> ForeignTable:
     """Read the columns of a C3D file.
 
     Columns are analog/LABEL and point/LABEL/x, y, z, with analog/time and point/time [s]. Force
-    plates that the parameters describe are in `plates`; none if the parameters are incomplete.
+    plates that the parameters describe are in `plates`, which is empty if the parameters are
+    incomplete.
 
     Args:
-        path: File.
+        path: Path of the file.
 
     Raises:
         RecordingError: The file is damaged or incomplete, or ezc3d is not installed.
@@ -111,7 +112,7 @@ def _check_complete(path: Path, frames: int) -> None:
 
 
 def _units_by_label(kind: str, groups: Parameters, count: int) -> dict[str, str]:
-    """Units of channels or points by unique label; empty where none is stated.
+    """Units of channels or points, keyed by unique label; empty where no unit is stated.
 
     Args:
         kind: Parameter group, ANALOG or POINT.
@@ -136,7 +137,7 @@ def _texts(group: str, name: str, groups: Parameters) -> list[str]:
 def _eight_force_matrix(origin: Array) -> Array:
     """Matrix from a type-3 plate's eight forces to the wrench at the plate's centre, (6, 8).
 
-    Forces are in the order x12, x34, y14, y23, z1, z2, z3, z4, with the numbers of the corners.
+    Forces are in the order x12, x34, y14, y23, z1, z2, z3, z4, where the digits number the corners.
 
     Args:
         origin: Distances of the corner sensors from the centre along x and y, (3,) [m].
@@ -184,7 +185,7 @@ def _plates(groups: Parameters, channels: Sequence[str]) -> Iterator[DescribedPl
 def _sensor_pose(corners: Array, origin: Array) -> dict[str, list[float]] | None:
     """Pose `xyz` [m] and `rpy` [rad] of a plate's sensor; None for degenerate corners.
 
-    The pose is in the laboratory frame; roll, pitch, yaw are about fixed axes x, then y, then z.
+    The pose is in the laboratory frame; roll, pitch and yaw are about fixed axes x, then y, then z.
 
     Args:
         corners: Corners of the plate in the laboratory frame, (4, 3) [m].

@@ -1,10 +1,10 @@
 """Tables of numbers in text files: CSV and similar formats, plain or compressed by gzip.
 
 Separator and decimal point are chosen so that most fields of the table are numbers. Lines before
-the first line of numbers are a preamble; the last of them with as many fields names the columns,
-which are else called 0, 1, .... A line of units beside it gives the columns' units. Columns of text
-are omitted, instants become microseconds (`written_times`), empty fields become nan. An incomplete
-last line is omitted.
+the first line of numbers are a preamble; the last preamble line with as many fields as the table
+contains the column names, which are 0, 1, ... otherwise. A line of units next to it states the
+columns' units. Columns of text are omitted, instants become microseconds (`written_times`), and
+empty fields become nan. An incomplete last line is omitted.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ def read_file(path: Path) -> ForeignTable:
     """Read the columns of a text file with lines of numbers below a header.
 
     Separator and decimal point are those with the largest share of numeric fields. Columns of text
-    are omitted; instants become microseconds; an incomplete last line is omitted.
+    and an incomplete last line are omitted; instants become microseconds.
 
     Args:
-        path: File.
+        path: Path of the file.
 
     Raises:
-        RecordingError: The file holds no table of numbers.
+        RecordingError: The file does not contain a table of numbers.
     """
     with reading_errors_as_recording_errors(path):
         lines, ended = _lines(path)
@@ -156,14 +156,14 @@ def _columns(
     separator: str | None,
     names: dict[int, str],
 ) -> dict[str, NDArray[Any] | RecordingError]:
-    """Values of columns by name, or the error at a field without a number.
+    """Values of columns keyed by name, or the error at a field without a number.
 
     Args:
-        path: File.
-        lines: All lines of the file.
+        path: Path of the file.
+        lines: Lines of the file.
         body: Indices of the lines of numbers.
         separator: Separator of fields; None for blanks.
-        names: Column names by index of the field.
+        names: Column names, keyed by index of the field.
 
     Raises:
         RecordingError: A line ends before the last of these columns.
@@ -171,7 +171,7 @@ def _columns(
     errors: dict[str, RecordingError] = {}
 
     def reader(name: str) -> Callable[[str], float]:
-        """Converter of a column's fields, which is called in the order of the lines."""
+        """Converter for a column's fields, which is called in the order of the lines."""
         places = iter(body)
 
         def value(text: str) -> float:
@@ -222,8 +222,8 @@ def _columns(
 def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
     """Lines of a text file, and True if the last line is complete.
 
-    Lines are read one by one, as few compressed bytes can expand to a line that fills the memory.
-    Encodings are tried from UTF-8 on.
+    The length of each line is limited while reading, because a few compressed bytes can expand to a
+    line that fills the memory. Encodings are tried in order, starting with UTF-8.
 
     Raises:
         RecordingError: The file is too large.
@@ -255,9 +255,10 @@ def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
 
 
 def _numeric_share(lines: list[str], separator: str | None, decimal: str) -> float:
-    """Share of numeric fields for a separator and a decimal point.
+    """Share of numeric fields for a given separator and decimal point.
 
-    It is zero if a line has fewer than 1.5 fields on average, for separators other than blanks.
+    The share is zero if lines have fewer than 1.5 fields on average, unless the separator is a
+    blank.
 
     Args:
         lines: Lines of the table.
@@ -277,11 +278,11 @@ def _first_numeric_line(
 ) -> tuple[int, list[int]]:
     """Indices of the first line of numbers, and of preceding lines with enough fields.
 
-    Lines with more numbers than words directly before it count as lines of numbers.
+    Lines with more numbers than words are lines of numbers too if they directly precede it.
 
     Args:
-        path: File.
-        lines: All lines of the file.
+        path: Path of the file.
+        lines: Lines of the file.
         separator: Separator of fields; None for blanks.
         numeric: Indices of the fields that are numbers.
         width: Number of fields in most lines.
@@ -316,9 +317,10 @@ def _first_numeric_line(
 def _names_and_units(
     header: list[list[str]], width: int
 ) -> tuple[list[str], dict[str, str]]:
-    """Unique column names, and units by name, from the lines above the numbers.
+    """Unique column names, and units keyed by name, from the lines above the numbers.
 
-    The last line that is no line of units holds the names, the last line of units the units.
+    The last line that is not a line of units contains the names; the last line of units contains
+    the units.
 
     Args:
         header: Fields of the lines above the numbers.
@@ -334,13 +336,13 @@ def _names_and_units(
 
 
 def _unit(field: str) -> str:
-    """Unit without brackets; empty if it is not known."""
+    """Unit without brackets; empty if the unit is not known."""
     bare = field.strip(" ()[]{}<>")
     return bare if canonical_unit(bare) in KNOWN_UNITS else ""
 
 
 def _is_unit_row(fields: list[str]) -> bool:
-    """Test whether most of the fields that are not empty are units."""
+    """Test whether most of the non-empty fields are units."""
     return 2 * sum(map(bool, map(_unit, fields))) > sum(map(bool, fields))
 
 
@@ -354,7 +356,7 @@ def _fields(line: str, separator: str | None) -> list[str]:
 
 
 def _without_comment_mark(line: str) -> str:
-    """Line without the mark of a comment."""
+    """Line without the leading comment mark."""
     return line.lstrip("#% ")
 
 
@@ -367,7 +369,7 @@ def _value(field: str) -> float:
     """Number in a field, an instant [us], or nan for a missing number.
 
     Raises:
-        ValueError: The field is a word, or a number in a notation of Python only.
+        ValueError: The field is a word, or a number in a notation that only Python has.
     """
     if field.strip().lower() in MISSING:
         return math.nan
@@ -378,7 +380,10 @@ def _value(field: str) -> float:
 
 
 def _number_and_word_counts(fields: Sequence[str]) -> tuple[int, int]:
-    """Number of fields that are numbers or instants, and of words, without missing numbers."""
+    """Number of fields that contain numbers or instants, and number of words.
+
+    Fields for missing numbers are ignored.
+    """
     values = words = 0
     for field in fields:
         try:

@@ -1,7 +1,7 @@
 """HDF5 files, including MATLAB 7.3.
 
-A column is named by its path, as log/q[0]. Only data in the file itself are read: no links to other
-files, no virtual datasets.
+A column is named by its path, for example log/q[0]. Only data in the file itself are read, no links
+to other files and no virtual datasets.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from testbed.importing.foreign_table import (
 def read_file(path: Path) -> ForeignTable:
     """Read the columns of an HDF5 file, named by the path of their dataset.
 
-    Units are those of the attribute `unit` or `units`; external and virtual datasets are ignored.
+    Units are taken from the attribute `unit` or `units`; external and virtual datasets are ignored.
 
     Args:
-        path: File.
+        path: Path of the file.
 
     Raises:
         RecordingError: The file is damaged, or h5py is not installed.
@@ -53,7 +53,7 @@ def read_file(path: Path) -> ForeignTable:
 
 
 def _dataset_values(path: Path, name: str) -> Any:
-    """Values of a dataset, with the axes of a MATLAB file reversed."""
+    """Values of a dataset; the axes of a MATLAB file are reversed."""
     import h5py
 
     with h5py.File(path, "r") as file:

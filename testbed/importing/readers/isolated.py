@@ -1,4 +1,4 @@
-"""Reading of files in a child process, as damaged files can crash a library."""
+"""Reading of files in a child process, because damaged files can crash a library."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BASE_MEMORY, MEMORY_PER_BYTE = 1_500_000_000, 50
 
 
 def read_tables_directly(module: str, path: Path, topic: str | None) -> TablesByTopic:
-    """Read the tables of a file by topic; a single table has the topic "".
+    """Read the tables of a file, keyed by topic; a single table has topic "".
 
     Args:
         module: Reader in this package.
@@ -50,9 +50,10 @@ def read_tables_directly(module: str, path: Path, topic: str | None) -> TablesBy
 
 
 def read_tables_in_child(module: str, path: Path, topic: str | None) -> TablesByTopic:
-    """Read the tables of a file by topic in a child process, as `read_tables_directly`.
+    """Read the tables of a file, keyed by topic, in a child process.
 
-    Arrays beyond `MAX_SENT_NUMBERS` values are read on demand, in further processes.
+    The result is that of `read_tables_directly`. Arrays beyond a total of `MAX_SENT_NUMBERS` values
+    are read on demand, in further processes.
 
     Args:
         module: Reader in this package.
@@ -112,8 +113,8 @@ def read(file: str, module: str, topic: str | None, first: str | None) -> ChildR
         first: First array that is sent; None for all arrays.
 
     Returns:
-        Topics, each with shapes and units of a table or an error message; and arrays by topic and
-        name, up to `MAX_SENT_NUMBERS` values.
+        Topics, each with shapes, units and plates of a table or with an error message; and arrays
+        keyed by topic and name, up to `MAX_SENT_NUMBERS` values.
     """
     path, remaining = Path(file), MAX_SENT_NUMBERS
     contents: list[tuple[str, Any]] = []

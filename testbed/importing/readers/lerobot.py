@@ -1,8 +1,9 @@
 """LeRobot datasets (v2.1, v3.0): a folder with `meta/info.json` and Parquet files of episodes.
 
-Elements of a feature are columns with the elements' names, as observation.state/elbow.pos. Episodes
-follow each other with a pause, at which an import is divided. Files are searched in the folder
-`data`; paths in the dataset's description are ignored.
+The elements of a feature are columns named after the elements, for example
+observation.state/elbow.pos. Pauses are inserted between successive episodes, and an import is
+divided there. Files are searched for in the folder `data`; paths in the dataset's description are
+ignored.
 
 Source    The dataset formats v2.1 and v3.0 of github.com/huggingface/lerobot
 """
@@ -47,13 +48,14 @@ INDEX_COLUMNS = ("episode_index", "frame_index", "index", "task_index")
 def read_file(path: Path) -> ForeignTable:
     """Read the columns of all episodes of a dataset, with pauses between the episodes.
 
-    Elements of a feature are columns, as observation.state/elbow.pos or observation.state[0].
+    The elements of a feature are columns, for example observation.state/elbow.pos or
+    observation.state[0].
 
     Args:
         path: Folder, or one of its Parquet files.
 
     Raises:
-        RecordingError: The dataset is damaged, or of an unknown version.
+        RecordingError: The dataset is damaged or has an unknown version.
     """
     with reading_errors_as_recording_errors(path):
         features, fps = _features_and_rate(
@@ -98,19 +100,19 @@ def read_file(path: Path) -> ForeignTable:
 
 
 def _feature_values(files: Sequence[Path], feature: str) -> NDArray[Any]:
-    """Values of a feature in several files, one after the other."""
+    """Values of a feature in several files, concatenated."""
     opened_files = (pq.ParquetFile(file, pre_buffer=False) for file in files)
     return np.concatenate([read_column(each, feature) for each in opened_files])
 
 
 def _features_and_rate(path: Path) -> tuple[dict[str, Any], float]:
-    """Descriptions of a dataset's features by name, and frame rate [Hz].
+    """Descriptions of a dataset's features, keyed by name, and frame rate [Hz].
 
     Args:
         path: Folder of the dataset.
 
     Raises:
-        RecordingError: `meta/info.json` is too large, incomplete or of an unknown version.
+        RecordingError: `meta/info.json` is too large, is incomplete or has an unknown version.
     """
     with (path / "meta" / "info.json").open("rb") as stream:
         text = stream.read(MAX_INFO_BYTES + 1)
@@ -139,7 +141,7 @@ def _features_and_rate(path: Path) -> tuple[dict[str, Any], float]:
 def _row_times(
     path: Path, episode: NDArray[Any], stamp: NDArray[Any], fps: float
 ) -> Array:
-    """Times of rows with a pause between two episodes, (M,) [s].
+    """Times of rows with a pause between successive episodes, (M,) [s].
 
     The pause is 1 s, or ten frames if that is longer.
 
@@ -167,9 +169,10 @@ def _row_times(
 
 
 def _element_names(feature: str, description: Any) -> list[str]:
-    """Column names of a feature's elements; empty if the feature is no vector of numbers.
+    """Column names of a feature's elements; empty if the feature is not a numeric vector.
 
-    They are FEATURE/NAME if the description has a unique name for each element, else FEATURE[k].
+    The names are FEATURE/NAME if the description has a unique name for each element, and FEATURE[k]
+    otherwise.
 
     Args:
         feature: Name of the feature.

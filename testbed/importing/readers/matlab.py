@@ -1,6 +1,6 @@
-"""MATLAB files: version 5 by SciPy, version 7.3, which is HDF5, by h5py.
+"""MATLAB files of version 5 (read by SciPy) and 7.3 (HDF5, read by h5py).
 
-Fields of structs are named by their path, as log/q[0].
+Fields of structs are named by their path, for example log/q[0].
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ HEADER_BYTES = 128
 def read_file(path: Path) -> ForeignTable:
     """Read the columns of a MATLAB file.
 
-    Fields of structs are named by their path, as log/q.
+    Fields of structs are named by their path, for example log/q.
 
     Args:
-        path: File.
+        path: Path of the file.
 
     Raises:
-        RecordingError: The file is damaged, or of version 7.3 and h5py is not installed.
+        RecordingError: The file is damaged, or it has version 7.3 and h5py is not installed.
     """
     with reading_errors_as_recording_errors(path):
         with path.open("rb") as stream:
@@ -56,10 +56,10 @@ def read_file(path: Path) -> ForeignTable:
 def _nested_arrays(
     content: dict[str, Any], prefix: str = ""
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """Arrays in nested structs, by path.
+    """Arrays in nested structs, keyed by path.
 
     Args:
-        content: Fields of a struct by name.
+        content: Fields of a struct, keyed by name.
         prefix: Path of the struct, with a slash at the end.
     """
     arrays: dict[str, np.ndarray[Any, Any]] = {}

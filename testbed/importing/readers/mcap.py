@@ -1,7 +1,7 @@
-"""MCAP files: numbers of messages in JSON, Protobuf, ROS 1 and ROS 2.
+"""MCAP files: numbers in messages of JSON, Protobuf, ROS 1 and ROS 2.
 
-Columns are named by the path of the number in the message. Messages are decoded by the schemas in
-the file.
+A column is named by the path of its number in the message. Messages are decoded according to the
+schemas in the file.
 
 Source    The MCAP format specification, mcap.dev/spec
 """
@@ -33,10 +33,10 @@ PROTOBUF_TIME_TYPES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
 
 
 def tables(path: Path, topic: str | None) -> TablesByTopic:
-    """Tables of a file's topics: a row for each message.
+    """Tables of a file's topics, with one row for each message.
 
     Args:
-        path: File.
+        path: Path of the file.
         topic: Topic of a single table; None for all tables.
 
     Raises:
@@ -57,7 +57,7 @@ def _tables_by_topic(
 ) -> TablesByTopic:
     """Tables of a file's topics, from the records in one pass.
 
-    A topic with a message that cannot be decoded becomes an error in place of its table.
+    If a message of a topic cannot be decoded, the topic has an error in place of its table.
 
     Raises:
         UnknownName: There is no such topic.
@@ -163,7 +163,7 @@ def _message_fields(message: Any) -> dict[str, Any]:
 
 
 def _ros_decoder(version: int) -> Callable[[Any], MessageDecoder]:
-    """Function that makes decoders for messages of ROS 1 or 2 from a schema.
+    """Function that creates decoders for messages of ROS 1 or 2 from a schema.
 
     Args:
         version: Version of ROS, 1 or 2.

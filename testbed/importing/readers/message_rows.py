@@ -1,4 +1,4 @@
-"""Numbers of messages by path, and tables of a topic's messages."""
+"""Numbers in messages, keyed by path, and tables of a topic's messages."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ class Nanoseconds(int):
 
 
 def message_numbers(message: Any) -> NumbersByPath:
-    """Numbers of a message by path, as position/elbow, joints/elbow/effort, wrench[2].
+    """Numbers of a message, keyed by path.
+
+    Paths are, for example, position/elbow, joints/elbow/effort or wrench[2].
 
     Args:
         message: Nested dictionaries and lists.
@@ -58,12 +60,12 @@ def message_numbers(message: Any) -> NumbersByPath:
 def _numbers_by_path(
     content: Any, path: str, names: tuple[str, ...]
 ) -> Iterator[tuple[str, float]]:
-    """Numbers in a part of a message, by path.
+    """Yield path and value of the numbers in a part of a message.
 
     Args:
         content: Part of the message.
         path: Path of the part.
-        names: Names of the entries, if the part is a list; else empty.
+        names: Names of the entries if the part is a list; otherwise empty.
     """
     if isinstance(content, dict):
         for keys in TIME_KEYS:
@@ -94,23 +96,23 @@ def _numbers_by_path(
 
 
 def _distinct_texts(value: Any) -> tuple[str, ...]:
-    """Texts of a list, if all entries are different texts; else empty."""
+    """Entries of a list if all are distinct texts; otherwise empty."""
     texts = value if isinstance(value, list) else []
     distinct = {text for text in texts if isinstance(text, str)}
     return tuple(texts) if len(distinct) == len(texts) else ()
 
 
 class MessageTableBuilder:
-    """Table of the numbers in a topic's messages, a row for each message.
+    """Table of the numbers in a topic's messages, with one row for each message.
 
-    Messages of several nodes differ in their fields: numbers that a message lacks are nan.
+    Messages from different nodes may have different fields: numbers that a message lacks are nan.
 
     Attributes:
-        path: File.
+        path: Path of the file.
     """
 
     def __init__(self, path: Path) -> None:
-        """Table without messages."""
+        """Create a table without messages."""
         self.path = path
         self._columns: dict[str, list[float]] = {}
         self._received: list[int] = []
@@ -120,7 +122,7 @@ class MessageTableBuilder:
 
         Args:
             received: Time of reception [ns].
-            numbers: Numbers of the message by path.
+            numbers: Numbers of the message, keyed by path.
 
         Raises:
             RecordingError: A list without names changed its length, or there are too many numbers.
@@ -143,10 +145,10 @@ class MessageTableBuilder:
         check_count(self.path, "numbers", count, MAX_NUMBERS)
 
     def table(self) -> ForeignTable:
-        """Columns by path and times of reception [ns], in the order of these times.
+        """Table of columns keyed by path, sorted by time of reception.
 
-        The message's own time stamps are the column "stamp", times of reception "received". The
-        table is empty for fewer than two messages.
+        The column "stamp" contains the message's own time stamps, and the column "received" the
+        times of reception [ns]. The table is empty for fewer than two messages.
         """
         received = np.array(self._received, dtype=np.int64)
         order = np.argsort(received, kind="stable")

@@ -20,10 +20,10 @@ MAX_HEADER_BYTES = 10_000
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Read the columns of an archive's arrays; a single array is named `array`.
+    """Read the columns of a file's arrays; a single array is named `array`.
 
     Args:
-        path: File.
+        path: Path of the file.
 
     Raises:
         RecordingError: The file is damaged.
@@ -63,7 +63,7 @@ def _header(stream: IO[bytes], size: int) -> tuple[tuple[int, ...], str]:
 
     Args:
         stream: File at the beginning of the array.
-        size: Size of the array with the header [bytes].
+        size: Size of the array including the header [bytes].
 
     Raises:
         RecordingError: The array would be larger than the file, or the format is not known.

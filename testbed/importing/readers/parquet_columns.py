@@ -1,4 +1,4 @@
-"""Parquet files of any layout: columns of numbers, times and lists of one length."""
+"""Parquet files of any layout: columns of numbers, times and lists of equal length."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_file(path: Path) -> ForeignTable:
     """Read the columns of a Parquet file; times keep the unit of their type.
 
     Args:
-        path: File.
+        path: Path of the file.
 
     Raises:
         RecordingError: The file is damaged.
@@ -50,7 +50,8 @@ def read_file(path: Path) -> ForeignTable:
 def _column_count(field: pa.Field, metadata: Any) -> int:
     """Number of columns that a field of the schema becomes; 0 if not numeric.
 
-    It is the length of lists in the field (the mean length, if the type does not fix it), else 1.
+    It is the length of the lists in the field (the mean length if the type does not fix it), and 1
+    for other numeric fields.
     """
     kind = field.type
     if pa.types.is_fixed_size_list(kind):
@@ -68,7 +69,7 @@ def _column_count(field: pa.Field, metadata: Any) -> int:
 
 
 def _is_number(kind: pa.DataType) -> bool:
-    """Test whether a type is a number or boolean."""
+    """Test whether a type is numeric or boolean."""
     numbers = (
         pa.types.is_floating(kind),
         pa.types.is_integer(kind),
@@ -83,7 +84,7 @@ def _is_time(kind: pa.DataType) -> bool:
 
 
 def _stated_unit(field: pa.Field) -> str:
-    """Unit of a time's type, or unit in a column's metadata; else empty."""
+    """Unit of a time's type, or unit in a column's metadata; otherwise empty."""
     if _is_time(field.type):
         return str(field.type.unit)
     return str((field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace"))
@@ -100,7 +101,7 @@ def read_column(file: pq.ParquetFile, name: str) -> NDArray[Any]:
 
     Raises:
         ValueError: A value in a list is missing, lists differ in length, or there are more than
-            `MAX_NUMBERS`.
+            `MAX_NUMBERS` values.
     """
     width = _column_count(file.schema_arrow.field(name), file.metadata)
     # a small file can hold many equal values, compressed

@@ -1,7 +1,7 @@
-"""Rerun recordings (.rrd): scalars of an entity are columns, timelines are times.
+"""Rerun recordings (.rrd): scalars of an entity are columns, and timelines are times.
 
-A column has the path of the entity. A table contains the entities that were logged at the same
-times.
+A column is named by the path of the entity. A table contains the entities that were logged at the
+same times.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ Stamps = dict[str, NDArray[np.int64]]
 
 
 def tables(path: Path, topic: str | None) -> TablesByTopic:
-    """Tables of entities logged at the same times, by their first entity; largest first.
+    """Tables of entities logged at equal times, keyed by their first entity; largest first.
 
     Args:
-        path: File.
-        topic: Entity in a single table; None for all tables.
+        path: Path of the file.
+        topic: Entity whose table is read; None for all tables.
 
     Raises:
         RecordingError: The file is damaged.
@@ -61,7 +61,7 @@ def tables(path: Path, topic: str | None) -> TablesByTopic:
 
 
 def _column_groups(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
-    """Columns logged at the same times, times first, and the units of the times."""
+    """Groups of columns logged at equal times, times first, with the units of the times."""
     from rerun.chunk import RrdReader
 
     parts: dict[str, list[tuple[Stamps, NDArray[Any]]]] = {}
@@ -89,11 +89,11 @@ def _column_groups(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, 
 
 
 def _chunk_scalars(batch: Any, units: dict[str, str]) -> tuple[Stamps, NDArray[Any]]:
-    """Times and values, (M, k), of a chunk; empty where rows differ in length.
+    """Times and values, (M, k), of a chunk; empty if rows differ in length.
 
     Args:
         batch: Chunk as a record batch.
-        units: Units by timeline; the chunk's are added.
+        units: Units keyed by timeline; the units of the chunk are added.
     """
     lines = [
         f for f in batch.schema if (f.metadata or {}).get(b"rerun:kind") == b"index"
@@ -120,7 +120,8 @@ def _joined_chunks(
 ) -> tuple[Stamps, NDArray[Any]]:
     """Times and values of an entity's chunks, sorted by time.
 
-    Chunks with other timelines or another number of values than the first chunk are omitted.
+    A chunk is omitted if its timelines or its number of values differ from those of the first
+    chunk.
     """
     lines, width = [*pieces[0][0]], pieces[0][1].shape[1]
     same_layout = [(s, v) for s, v in pieces if [*s] == lines and v.shape[1] == width]

@@ -1,6 +1,7 @@
-"""ROS bags of version 1, and of version 2 in folders and SQLite.
+"""ROS bags of version 1, and of version 2 in folders and SQLite files.
 
-Messages are decoded by the definitions of their types; no code is generated from them.
+Messages are decoded according to the definitions of their types; no code is generated from the
+definitions.
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ MessageDecoder = Callable[[bytes], NumbersByPath]
 
 
 def tables(path: Path, topic: str | None) -> TablesByTopic:
-    """Tables of a bag's topics: a row for each message.
+    """Tables of a bag's topics, with one row for each message.
 
     Args:
-        path: Bag.
+        path: Path of the bag.
         topic: Topic of a single table; None for all tables.
 
     Raises:
@@ -80,7 +81,7 @@ def tables(path: Path, topic: str | None) -> TablesByTopic:
 def _check_unpacked_size(path: Path) -> None:
     """Refuse a bag whose compressed files are too large after decompression.
 
-    The library rosbags unpacks whole files, which could fill the disk.
+    The library rosbags decompresses whole files, which could fill the disk.
 
     Raises:
         RecordingError: The files are too large.
@@ -126,11 +127,11 @@ Definitions = Mapping[str, tuple[Any, Sequence[tuple[str, tuple[Any, Any]]]]]
 def ros_message_decoder(
     kind: str, text: str, version: int, *, idl: bool = False
 ) -> MessageDecoder:
-    """Decoder of a type's messages, by the given or the standard definition.
+    """Decoder for a type's messages, based on the given or the standard definition.
 
     Args:
         kind: Name of the type.
-        text: Definition of the type; empty where the file has none.
+        text: Definition of the type; empty if the file has no definition.
         version: Version of ROS, 1 or 2.
         idl: True if the definition is in IDL.
 
@@ -160,7 +161,7 @@ class RosMessage:
     """Sequential reader of one serialised ROS message."""
 
     def __init__(self, data: bytes, version: int) -> None:
-        """Reader at the beginning of a message.
+        """Start reading at the beginning of a message.
 
         Args:
             data: Message as in the bag.
@@ -176,7 +177,7 @@ class RosMessage:
         """Read the next value: number, text, list, or dictionary of fields.
 
         Args:
-            node: Kind of the node, as `BASE_NODE`.
+            node: Kind of the node, for example `BASE_NODE`.
             node_type: Type of the value, or type of the elements and their number.
             definitions: Definitions of all types.
 

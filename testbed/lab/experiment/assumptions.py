@@ -75,15 +75,15 @@ class Assumptions:
     """Assumed values of a robot, its sensors and its simulation.
 
     Attributes:
-        joints: Joint settings by joint, in the order of joints: `coulomb` and `viscous` if the
-            model file has no friction, `rotor_inertia` if the joint cannot be controlled without,
-            and `max_effort` if the file's effort limits hold the robot in no posture; units as in
-            Joint.
+        joints: Assumed settings keyed by joint name, in the robot's joint order: `coulomb` and
+            `viscous` where the model file has no friction, `rotor_inertia` where the joint is too
+            light to be controlled, and `max_effort` where the file's effort limits cannot hold the
+            robot in any posture; units as in `Joint`.
         force_noise: Noise of the plate's forces [N].
         moment_noise: Noise of the plate's moments [N m].
         torque_noise: Noise of the joint torques [N m or N].
         step: Simulation step [s].
-        clearance: Clearance of a small robot [m]; None for the default.
+        clearance: Smallest distance between bodies for a small robot [m]; None for the default.
     """
 
     joints: Mapping[str, Mapping[str, float]]
@@ -95,9 +95,11 @@ class Assumptions:
 
 
 def assumptions(tree: Tree) -> Assumptions:
-    """Choose friction, rotors, effort limits, noise, step and clearance for a robot.
+    """Choose assumed friction, rotor inertias, effort limits, noise, step and clearance of a robot.
 
-    Sizes are shares of the rms joint torques and base wrench in `STATE_COUNT` random states.
+    Friction and noise are fixed fractions of the rms joint torques and of the rms base wrench over
+
+    `STATE_COUNT` random states.
 
     Args:
         tree: Robot of the model file.
@@ -135,7 +137,7 @@ def moderate_speeds(tree: Tree) -> Array:
 
 
 def _random_motion(tree: Tree) -> Motion:
-    """Independent random states within the limits, velocities up to moderate speeds."""
+    """Motion of independent random states within the limits, at up to moderate speeds."""
     limits, rng = joint_limits(tree), np.random.default_rng(0)
     position, velocity, acceleration = (
         rng.uniform(-1, 1, (STATE_COUNT, tree.n)) * size
@@ -151,10 +153,11 @@ def _rms(values: Array) -> Array:
 
 
 def _assumed_friction(tree: Tree, loads: Array) -> dict[str, dict[str, float]]:
-    """Assumed Coulomb and viscous friction of joints that have neither, by joint.
+    """Assumed friction, keyed by joint name, of joints without friction in the model file.
 
-    Shares `COULOMB_SHARE` and `VISCOUS_SHARE` of the rms torque; Coulomb friction at most
-    `MAX_COULOMB_EFFORT_SHARE` of the effort limit.
+    At a moderate speed, Coulomb and viscous friction are the fractions `COULOMB_SHARE` and
+    `VISCOUS_SHARE` of the joint's rms torque. Coulomb friction is at most
+    `MAX_COULOMB_EFFORT_SHARE` of the effort limit, and viscous friction is reduced in proportion.
 
     Args:
         tree: The robot.
@@ -176,14 +179,15 @@ def _assumed_friction(tree: Tree, loads: Array) -> dict[str, dict[str, float]]:
 
 
 def _assumed_rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
-    """Assumed rotor inertias of joints that are too light to be controlled, by joint.
+    """Assumed rotor inertias, keyed by joint name, of joints too light to be controlled.
 
-    Too light in some posture (`MIN_INERTIA_RATIO`), or too light for their Coulomb friction
-    (`MAX_FRICTION_DEVIATION`).
+    A joint is too light if its inertia with the other joints free falls below the fraction
+    `MIN_INERTIA_RATIO` of its rms inertia in some posture, or if Coulomb friction would cause a
+    position error above `MAX_FRICTION_DEVIATION`.
 
     Args:
         tree: The robot with friction.
-        matrices: Mass matrices, (states, n, n).
+        matrices: Mass matrices in random states, (states, n, n).
     """
     diagonal = np.diagonal(matrices, axis1=1, axis2=2)
     rms_inertia, rotor = _rms(diagonal), ROTOR.coefficients(tree)
@@ -205,9 +209,10 @@ def _assumed_rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
 
 
 def _assumed_efforts(tree: Tree) -> dict[str, dict[str, float]]:
-    """Assumed effort limits of motors too weak for the posture of least effort, by joint.
+    """Assumed effort limits, keyed by joint name, of motors that are too weak.
 
-    Too weak: holding and Coulomb friction need over `MAX_HOLDING_SHARE` of the effort limit.
+    A motor is too weak if holding the posture of least effort and overcoming Coulomb friction take
+    more than the fraction `MAX_HOLDING_SHARE` of its effort limit.
     """
     posture = least_effort_posture(tree, joint_limits(tree))
     holding_effort = np.abs(joint_forces(tree, Motion.at_rest(posture[None]))[0])
@@ -220,7 +225,7 @@ def _assumed_efforts(tree: Tree) -> dict[str, dict[str, float]]:
 
 
 def _stable_step(tree: Tree, matrices: Array) -> float:
-    """Largest of `STEP_SIZES` that is stable with the joints' viscous friction [s].
+    """Largest step of `STEP_SIZES` at which simulated viscous friction is stable [s].
 
     Args:
         tree: The robot with friction and rotors.
@@ -238,7 +243,10 @@ def _stable_step(tree: Tree, matrices: Array) -> float:
 
 
 def _small_clearance(tree: Tree) -> float | None:
-    """`CLEARANCE_SHARE` of the robot's length [m]; None if at least the default clearance."""
+    """Clearance of a small robot, the fraction `CLEARANCE_SHARE` of its length [m].
+
+    The result is None if this clearance is not below the default clearance.
+    """
     default = ExcitationTable().clearance
     assert not isinstance(default, str)
     clearance = round_significant(CLEARANCE_SHARE * chain_length(tree), 1)
@@ -246,7 +254,7 @@ def _small_clearance(tree: Tree) -> float | None:
 
 
 def chain_length(tree: Tree) -> float:
-    """Longest path along link offsets from a first joint to a centre of mass [m]."""
+    """Length of the longest path over link offsets to a link's centre of mass [m]."""
     distance = np.zeros(tree.n)
     for j, joint in enumerate(tree.joints):
         if joint.parent >= 0:
@@ -264,13 +272,13 @@ SLOW_PACE = 0.3
 
 @dataclass(frozen=True)
 class FeasibleSettings:
-    """Settings that a new experiment needs to run.
+    """Settings with which a new experiment can be simulated.
 
     Attributes:
         step: Simulation step [s].
-        pace: Share of usual velocities and accelerations.
-        exclude: Pairs of bodies, by name, without a smallest distance.
-        nothing_clear: True if no motion keeps the clearance, whatever pairs are excluded.
+        pace: Factor on the usual velocities and accelerations.
+        exclude: Pairs of body names whose distance is not limited.
+        nothing_clear: True if no motion keeps the clearance, even with pairs of bodies excluded.
     """
 
     step: float
@@ -285,19 +293,19 @@ def tested_text(
     folder: Path,
     report_line: Callable[[str], None],
 ) -> str:
-    """Text of an experiment file after a successful simulation of one second.
+    """Text of an experiment file that has passed a simulation of one second.
 
-    After a failure smaller step, slower motion, excluded pairs of bodies and no clearance are tried
-    in turn.
+    After a failed simulation, a smaller step, a slower motion, excluded pairs of bodies, and no
+    clearance are tried in turn.
 
     Args:
         text: Function that writes the text for given settings.
-        needs: Settings to begin with.
+        needs: Settings of the first trial.
         folder: Folder of the future file.
         report_line: Called with a line for every assumption after a failed trial.
 
     Raises:
-        ExperimentError: No known change makes the experiment run; lists the changes tried.
+        ExperimentError: No change makes the experiment run; the message lists the changes tried.
     """
     changes: list[str] = []
     while True:
@@ -325,10 +333,11 @@ def tested_text(
 def _changed_needs(
     error: TestbedError, experiment: Experiment, needs: FeasibleSettings
 ) -> tuple[FeasibleSettings, str] | None:
-    """Settings with a change that may avoid a failure, and the change in words.
+    """Settings changed to avoid a failure, and a description of the change.
 
-    After divergence a smaller step, then a slower motion; without feasible motion the close pairs
-    of bodies excluded, then no clearance. None if these are used up, and for other errors.
+    If the simulation diverged, the step is reduced, then the motion is slowed down. If no motion is
+    feasible, pairs of close bodies are excluded, then the clearance is dropped. The result is None
+    if these changes are used up, and for other errors.
     """
     if isinstance(error, SimulationDiverged):
         smaller = [step for step in STEP_SIZES if step < needs.step][:2]
@@ -351,7 +360,7 @@ def _changed_needs(
 
 
 def _close_pairs(experiment: Experiment) -> tuple[tuple[str, str], ...]:
-    """Pairs of bodies closer than the clearance, in the random posture with fewest such pairs."""
+    """Pairs of bodies closer than the clearance, in the random posture with the fewest."""
     tree = robot_of(experiment)
     rules = rules_of(experiment, tree, designed=False)
     if rules.collision is None:

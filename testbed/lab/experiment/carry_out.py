@@ -38,11 +38,11 @@ def with_simulated_validation(run: Run, progress: Progress = ignore_progress) ->
 
     Args:
         run: Run of an experiment.
-        progress: Called with the number of samples done and in all.
+        progress: Called with the number of finished samples and of all samples.
 
     Returns:
-        Run with the validation. Unchanged if it has no estimates or no experiment; with a warning
-        if the other motion cannot be simulated.
+        Run with the validation. The run is unchanged if it has no estimates or no experiment, and
+        has a warning if the other motion cannot be simulated.
     """
     if not run.estimates:
         return run
@@ -58,11 +58,13 @@ def with_simulated_validation(run: Run, progress: Progress = ignore_progress) ->
 def simulate_validation_recording(
     run: Run, progress: Progress = ignore_progress
 ) -> Recording | None:
-    """Simulate the same robot and sensors along another, equally fast motion with other noise.
+    """Simulate the same robot and sensors along another, equally fast motion.
+
+    The sensor noise differs from that of the run.
 
     Args:
         run: Run of an experiment.
-        progress: Called with the number of samples done and in all.
+        progress: Called with the number of finished samples and of all samples.
 
     Returns:
         Recording of at most `VALIDATION_DURATION` or one period, whichever is longer; None if the
@@ -87,15 +89,15 @@ def simulate_validation_recording(
 def with_validation(run: Run, recording: Recording) -> Run:
     """Validate a run's estimates on another recording.
 
-    Where the run has a posterior of the method, the reported estimate of both is validated.
+    If the run has a posterior for a method, the reported one of the two estimates is validated.
 
     Args:
         run: Run with estimates.
         recording: Another recording of the same robot and sensors.
 
     Returns:
-        Run with the validation and its diagnostics, and the accuracy of predictions along this
-        recording; with a warning if the recording cannot be used.
+        Run with the validation, its diagnostics, and the accuracy of predictions along this
+        recording; with a warning instead if the recording cannot be used.
     """
     recording = adapt_to_robot(recording, run.tree)
     run = replace(run, unseen=recording)
@@ -126,9 +128,9 @@ def with_validation(run: Run, recording: Recording) -> Run:
 
 
 def _validation_score(run: Run, recording: Recording) -> Score | None:
-    """Score of the run with the true accuracy of its predictions along a recording's motion.
+    """Score of a run with the accuracy of its predictions along a recording's motion.
 
-    None for a run without score (no truth).
+    The result is None if the run has no score because the truth is unknown.
     """
     if run.score is None:
         return None
@@ -142,14 +144,15 @@ def _validation_score(run: Run, recording: Recording) -> Score | None:
 def with_payload_metrics(run: Run, progress: Progress = ignore_progress) -> Run:
     """Add the errors of the identified payload to a run's metrics.
 
-    Metrics: "payload_mass_error", "payload_mass_sigma", "payload_mass_z", "payload_centre_error",
-    where identifiable. The payload is the difference to estimates from another simulated recording,
-    of the robot without payload and with other noise. A run without a claim on a payload metric,
-    without exactly one payload, or without an estimate by the force plate is unchanged.
+    The metrics are "payload_mass_error", "payload_mass_sigma", "payload_mass_z" and
+    "payload_centre_error", where identifiable. The payload is identified from the difference
+    between the run's estimate and an estimate from a second simulated recording, without payload
+    and with other noise. The run is unchanged if its claims name no payload metric, if the robot
+    does not carry exactly one payload, or if there is no estimate from the force plate.
 
     Args:
         run: Run of an experiment.
-        progress: Called with the number of samples done and in all.
+        progress: Called with the number of finished samples and of all samples.
     """
     experiment = run.experiment
     if experiment is None or run.score is None or "wrench" not in run.estimates:
@@ -192,7 +195,7 @@ def with_payload_metrics(run: Run, progress: Progress = ignore_progress) -> Run:
 
 
 def _experiment_without_payload(experiment: Experiment) -> Experiment:
-    """Experiment without payloads and with another seed, of motion and noise."""
+    """Experiment without payloads and with another seed for motion and noise."""
     effects = experiment.simulation.effect
     other_effects = tuple(each for each in effects if not isinstance(each, Payload))
     return experiment.with_(
@@ -212,14 +215,17 @@ def carry_out(
     folder: Path | None = None,
     stage: StageProgress | None = None,
 ) -> Run:
-    """Simulate, identify by both methods, compare with the truth, validate on another motion.
+    """Simulate a recording, identify by both methods, score against the truth, and validate.
+
+    The validation uses a second simulated motion.
 
     Args:
         experiment: Robot, motion, sensors and claims.
-        progress: Called with the number of samples done and in all.
+        progress: Called with the number of finished samples and of all samples.
         watch: Called with the simulated states about once a second of simulation.
-        folder: Run folder to write at the end; an older folder stays until the new one is complete.
-        stage: Opens a progress display for each stage, instead of `progress`.
+        folder: Run folder to write at the end; an older folder is kept until the new one is
+            complete.
+        stage: Function that opens a progress display for each stage; it replaces `progress`.
 
     Raises:
         TestbedError: The experiment cannot be carried out. If the recording exists and the folder

@@ -29,16 +29,16 @@ CLEARANCE = 0.02
 def design(
     rig: Rig, motion: Fourier, seconds: float = 60.0, starts: int = 6, seed: int = 0
 ) -> Fourier:
-    """Design an excitation trajectory for the smallest standard deviations from the force plate.
+    """Design the excitation trajectory that minimises the standard deviations from the plate.
 
-    Limits (times `MARGIN`) of positions, velocities, efforts and the plate's range, and a distance
-    between bodies of `CLEARANCE`, are proven to hold at all times.
+    The joint positions, velocities, efforts and the plate's wrench are proven to stay within their
+    limits times `MARGIN` at all times, and the distances between bodies to stay above `CLEARANCE`.
 
     Args:
-        rig: Robot, plant and sensors; noise of zero is replaced by a default.
-        motion: Fourier series whose fundamental frequency and number of harmonics are used.
+        rig: Robot, plant and sensors; zero noise is replaced by a default.
+        motion: Fourier series that sets the fundamental frequency and the number of harmonics.
         seconds: Length of the recording [s].
-        starts: Number of searches, each from another random motion; the best result is taken.
+        starts: Number of searches, each from another random motion; the best result is returned.
         seed: Seed of the random motions.
 
     Raises:

@@ -39,11 +39,11 @@ FINE_STEP = SimulationTable().step
 
 
 def with_integration_error(run: Run) -> Run:
-    """Add the metric `wrench_floor`, the error by the integration step, to a run.
+    """Add the metric `wrench_floor`, the error due to the integration step, to a run.
 
-    It is the rms relative error of the plate's estimate with perfect sensors. A run is unchanged if
-    its step is at most `FINE_STEP`, without score or estimate by the force plate, or if the exact
-    recording gives no estimate.
+    The metric is the rms relative error of the plate's estimate from perfect sensors. The run is
+    unchanged if its step is at most `FINE_STEP`, if it has no score or no estimate from the force
+    plate, or if no estimate can be made from the exact recording.
 
     Args:
         run: Run of an experiment.
@@ -83,14 +83,15 @@ def evaluate(
 ) -> Run:
     """Identify parameters from an experiment's recording, and compare estimates with true values.
 
-    Physically consistent bodies are estimated too if the experiment has the table [consistent].
-    Failures of a method are recorded in the run (`Run.failures`).
+    Physically consistent bodies are estimated too if the experiment has the table [consistent]. If
+    a method fails, the reason is recorded in `Run.failures`.
 
     Args:
         experiment: Experiment that made the recording.
         recording: Measured signals.
-        progress: Called with the number of samples done and in all, method by method.
-        methods: Methods to identify by: "wrench", "torque" or both.
+        progress: Called with the number of finished samples and of all samples, for each method in
+            turn.
+        methods: Methods of identification: "wrench", "torque" or both.
         threads: Number of threads; default one per processor.
     """
     tree = with_rotor_spin(sensed_robot(experiment), experiment.robot.rotor_spins)
@@ -111,12 +112,13 @@ def evaluate(
 def prior_and_options(
     experiment: Experiment, tree: Tree
 ) -> tuple[PriorBodies, ConsistencyOptions] | None:
-    """Prior and options of consistent bodies in an experiment; None without the table [consistent].
+    """Prior and options of the consistent bodies in an experiment.
 
-    The model file is the truth in an experiment, so the prior's bodies are perturbed ones.
+    In an experiment the model file is the truth, so the bodies of the prior are perturbed. The
+    result is None if the experiment has no table [consistent].
 
     Args:
-        experiment: Experiment with the perturbation of the prior.
+        experiment: Experiment with the size of the perturbation.
         tree: The robot with its true bodies.
     """
     options = experiment.consistent
@@ -128,13 +130,14 @@ def prior_and_options(
 def perturbed_robot(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
     """Robot with randomly perturbed bodies that are physically consistent.
 
-    The pseudo-inertia J = U U' becomes U G G' U', G being the identity plus random numbers: mass,
-    centre of mass and inertia change together, each by about the same relative error. Bodies whose
-    J has no such factor (rods, plates, no mass) stay.
+    The pseudo-inertia J = U U' becomes U G G' U', where G is the identity plus random numbers.
+    Mass, centre of mass and inertia thus change together, each by about the same relative error.
+    Bodies whose J has no such factorisation (rods, plates, massless bodies) are unchanged.
 
     Args:
         tree: The robot with its true bodies.
-        error: Relative standard deviation of the coordinates of J.
+        error: Relative standard deviation of the perturbation of J; G differs from the identity by
+            half of it.
         rng: Random generator.
     """
     return replace(
@@ -144,7 +147,10 @@ def perturbed_robot(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
 
 
 def _perturbed_body(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
-    """Body with a randomly perturbed pseudo-inertia (`perturbed_robot`); unchanged if singular."""
+    """Body with a randomly perturbed pseudo-inertia (`perturbed_robot`).
+
+    A body with a singular pseudo-inertia is returned unchanged.
+    """
     factor = np.eye(4) + error / 2 * rng.normal(size=(4, 4))
     try:
         root = upper_cholesky_factor(body.pseudo) @ factor
@@ -154,9 +160,9 @@ def _perturbed_body(body: Inertia, error: float, rng: np.random.Generator) -> In
 
 
 def with_body_metrics(run: Run) -> Run:
-    """Add errors of the consistent bodies to a run's metrics.
+    """Add the errors of the consistent bodies to a run's metrics.
 
-    A run without consistent bodies or without known truth is unchanged.
+    The run is unchanged if it has no consistent bodies or no known truth.
 
     Args:
         run: Run of an experiment.
@@ -167,7 +173,7 @@ def with_body_metrics(run: Run) -> Run:
 
 
 def perturbed_prior(tree: Tree, experiment: Experiment) -> Tree:
-    """Robot with the perturbed bodies that an experiment uses as prior.
+    """Robot with the perturbed bodies that serve as an experiment's prior.
 
     Args:
         tree: The robot with its true bodies.
@@ -179,10 +185,11 @@ def perturbed_prior(tree: Tree, experiment: Experiment) -> Tree:
 
 
 def _body_metrics(run: Run, bodies: Consistent) -> dict[str, float]:
-    """Errors of consistent bodies and their prior against the truth, by metric.
+    """Errors of consistent bodies and of their prior against the truth, by metric.
 
-    Rms relative errors of both, ratio to the least-squares error (by the plate first), and smallest
-    over largest eigenvalue of the pseudo-inertias.
+    The metrics are the rms relative errors of the bodies and of the prior, the ratio of the first
+    to the least-squares error (of the plate's estimate if there is one), and the ratio of smallest
+    to largest eigenvalue of the pseudo-inertias.
     """
     massive = bodies.eigenvalues[bodies.eigenvalues[:, -1] > 0]
     consistent, prior = (
@@ -209,7 +216,10 @@ def _body_metrics(run: Run, bodies: Consistent) -> dict[str, float]:
 
 
 def _rms_relative_error(run: Run, bodies: Array) -> float | None:
-    """Rms relative error of the torques' base parameters from standard parameters, (n, 10)."""
+    """Rms relative error of the joint torques' base parameters.
+
+    The base parameters are computed from the standard parameters `bodies`, (n, 10).
+    """
     torque_set = minimal_set(run.tree, "torque", zeros=run.settings.zeros)
     matrix = torque_set.standard_matrix
     truth = matrix @ standard(run.tree).ravel()

@@ -53,14 +53,15 @@ def excite(
 ) -> Excitation:
     """Design an experiment's excitation trajectory, and compare it with a random motion.
 
-    The random motion is that of the experiment without a design.
+    The random motion is the one that the experiment uses without a design.
 
     Args:
         experiment: Criterion and limits in `excitation`, duration in `motion`, sensors in
             `measurement`, filters in `identification`.
-        watch: Called after every step of a search, with the relative sigma of the best motion.
+        watch: Called after every search step, with the best relative standard deviation so far.
         prior: Covariance of the minimal parameters from an earlier estimate, (N, N).
-        interrupted: Called after every step; True ends the search with the best motion so far.
+        interrupted: Called after every step; if it returns True, the search ends and the best
+            motion so far is returned.
 
     Raises:
         InfeasibleMotion: No motion inside the limits was found.
@@ -87,7 +88,7 @@ def design_problem(experiment: Experiment, prior: Array | None = None) -> Design
     """Design problem of an experiment: limits, information, filters and frequencies.
 
     Args:
-        experiment: Criterion and limits in `excitation` and other tables.
+        experiment: Criterion and limits in `excitation`, and the other tables.
         prior: Covariance of the minimal parameters from an earlier estimate, (N, N).
 
     Raises:
@@ -121,7 +122,7 @@ def design_problem(experiment: Experiment, prior: Array | None = None) -> Design
 
 
 def pipeline_of(experiment: Experiment) -> SignalProcessing:
-    """Filters of an experiment's estimates, and the length of the filtered recording."""
+    """Filters applied in an experiment's identification, with the filtered recording length."""
     instrument, seconds = experiment.measurement, experiment.motion.duration
     return pipeline(
         instrument.rate,
@@ -134,10 +135,11 @@ def pipeline_of(experiment: Experiment) -> SignalProcessing:
 def pipeline(
     rate: float, seconds: float, settings: Settings = DEFAULTS, *, sensed: bool = False
 ) -> SignalProcessing:
-    """Filters of an estimate, and the length of the filtered recording.
+    """Filters applied in an identification, with the filtered recording length.
 
-    The length is without the ends that the filters of positions and rows lose. The guard time about
-    velocity reversals is the time that rows are affected by them.
+    The length excludes the samples at either end that the position filter and the row filter
+    remove. The guard time is the time around a velocity reversal in which filtered rows are
+    affected by it.
 
     Args:
         rate: Sampling rate [Hz].
@@ -161,8 +163,9 @@ def pipeline(
 def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
     """Fundamental frequencies [Hz] and numbers of harmonics that the design may use.
 
-    Twice, once and four times the lowest frequency, at least `MIN_PERIODS` over the duration, with
-    as many harmonics as the highest frequency allows, if these are at least `MIN_HARMONICS`.
+    The fundamental is twice, once or four times the lowest frequency at which the motion repeats
+    `MIN_PERIODS` times. Each is combined with as many harmonics as the highest frequency allows,
+    and dropped if there are fewer than `MIN_HARMONICS`.
 
     Args:
         experiment: Frequency band in `excitation`, duration in `motion`.
@@ -198,10 +201,10 @@ def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
 def _sampled_rows(
     experiment: Experiment, rules: MotionConstraints
 ) -> dict[Signal, SampledRows]:
-    """Sampled regressor rows for the design criterion and the limits, by signal.
+    """Sampled regressor rows for the design criterion and the limits, keyed by signal.
 
-    Wrench, signals of `excitation.instrument`, and torques if efforts are limited. With
-    `robot.sensor` the wrench is that of the links beyond the force sensor.
+    The signals are the wrench, the signals of `excitation.instrument`, and the torques if efforts
+    are limited. With `robot.sensor`, the wrench is that of the links beyond the force sensor.
     """
     tree, zeros = rules.tree, experiment.identification.zeros
     signals: list[Signal] = [

@@ -103,7 +103,7 @@ class Experiment(Summarized, RobotTables):
         """Copy of the experiment with some values changed.
 
         Args:
-            **changes: New values by table or key; for a table, a dict of the keys that change.
+            **changes: New values by table or key; for a table, a dict of the changed keys.
 
         Raises:
             ExperimentError: A key or value is not valid.
@@ -118,7 +118,7 @@ class Experiment(Summarized, RobotTables):
         """Build an experiment from the parsed tables of its TOML file.
 
         Args:
-            content: Unchecked tables; overrides are inserted into them.
+            content: Unchecked tables, into which the overrides are inserted.
             path: The TOML file; `model` and `motion.file` are taken relative to it.
             settings: Overrides "table.key=value".
 
@@ -139,7 +139,7 @@ class Experiment(Summarized, RobotTables):
 
     @staticmethod
     def of_model(path: Path, settings: Iterable[str] = ()) -> Experiment:
-        """Build an experiment from a model file and the overrides of --set, without a file.
+        """Build an experiment without an experiment file, from a model file and overrides.
 
         Args:
             path: Model file.
@@ -158,9 +158,9 @@ class Experiment(Summarized, RobotTables):
 
     @property
     def file(self) -> ModelFile:
-        """Model file with welded root, replaced bodies and locked joints.
+        """Model file of the robot, with root welded, bodies replaced and joints locked.
 
-        Joints of `robot.lock`, and mimic joints with `robot.lock_mimic`, are locked.
+        The joints of `robot.lock` are locked, and with `robot.lock_mimic` the mimic joints too.
         """
         mimic = mimic_joints(self.model) if self.robot.lock_mimic else ()
         lock = dict.fromkeys(mimic) | self.robot.lock
@@ -187,9 +187,9 @@ class Experiment(Summarized, RobotTables):
 
     @property
     def mounted_sensors(self) -> list[ForcePlate]:
-        """Force sensors in the robot, with noise and errors of their tables in `sensors`.
+        """Force sensors in the robot, with noise and errors from their tables in `sensors`.
 
-        A sensor without table is perfect.
+        A sensor that has no table is perfect.
         """
         sensors = []
         for name, mounting in self.force_sensors.items():
@@ -210,7 +210,7 @@ class Experiment(Summarized, RobotTables):
 def _merged_table(
     table: Mapping[str, Any], changes: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Copy of a table with some keys changed, nested tables likewise."""
+    """Copy of a table with some keys changed, including keys of nested tables."""
     merged = dict(table)
     for key, value in changes.items():
         old_value = merged.get(key)
@@ -226,11 +226,10 @@ DEFAULT_MODEL_NAMES = ("", "robot", "MuJoCo Model")
 
 
 def run_name(path: Path, model_name: str = "") -> str:
-    """Name of a run, from the model file's name or from the model itself.
+    """Name of a run, derived from the model file's name or from the model.
 
-    The model's name is taken for a generic file name (`GENERIC_FILE_NAMES`), and the folder's name
-    if the model has no name either. Other characters than letters, digits, "_", "." and "-" become
-    "-".
+    If the file name is generic (`GENERIC_FILE_NAMES`), the model's name is used, or the folder's
+    name if the model has none. Characters other than letters, digits, "_", "." and "-" become "-".
 
     Args:
         path: Model file.

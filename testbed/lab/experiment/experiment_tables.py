@@ -53,7 +53,7 @@ MAX_HARMONICS = 100
 
 
 class MotionTable(StrictTable):
-    """Motion from a file, or the best of several random motions, within proven limits."""
+    """Motion of an experiment: a file, or the best of several random motions."""
 
     file: str = ""
     """Motion file of `testbed excite`, relative to the experiment file; with it, `fundamental`,
@@ -77,7 +77,7 @@ class MotionTable(StrictTable):
 
 
 class ObstacleTable(StrictTable):
-    """Box in the robot's workspace, along the bedplate's axes."""
+    """Obstacle in the robot's workspace: a box along the bedplate's axes."""
 
     centre: tuple[Finite, Finite, Finite]
     """Centre of the box, bedplate frame [m]."""
@@ -142,21 +142,21 @@ class SimulationTable(StrictTable):
 
 
 class PriorTable(StrictTable):
-    """Perturbation of the true bodies that gives the prior of consistent bodies."""
+    """Perturbation of the true bodies, which yields the prior of the consistent bodies."""
 
     error: NotNegative = 0.3
     """Relative standard deviation of the perturbation of each body."""
 
 
 class Bound(StrictTable):
-    """Claimed bounds on one metric."""
+    """Bounds that an experiment claims for one metric."""
 
     at_most: Finite | None = None
     at_least: Finite | None = None
 
     @model_validator(mode="after")
     def _check_bounds(self) -> Bound:
-        """Raise ValueError without any bound."""
+        """Raise ValueError if neither bound is given."""
         if self.at_most is None and self.at_least is None:
             raise ValueError("a claim needs at_most or at_least")
         return self
@@ -170,7 +170,7 @@ class Bound(StrictTable):
         )
 
     def contains(self, value: float) -> bool:
-        """Test whether a value is within the bounds; NaN never is."""
+        """Test whether a value is within the bounds; False for NaN."""
         low = -math.inf if self.at_least is None else self.at_least
         return low <= value <= (math.inf if self.at_most is None else self.at_most)
 

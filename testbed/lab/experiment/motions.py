@@ -49,15 +49,16 @@ def experiment_motion(
     """Motion of an experiment, from its file or random, proven to respect the limits.
 
     Args:
-        experiment: Motion file, or number and harmonics of random motions, in `motion`; of random
-            motions that with the smallest predicted standard deviations is returned.
+        experiment: Motion file, or number and harmonics of random motions, in `motion`. The random
+            motion with the smallest predicted standard deviations is returned.
         tree: Robot of the experiment.
-        previous_rules: Rules of the same experiment, whose collision shapes are reused.
+        previous_rules: Limits of the same experiment, whose collision shapes are reused.
 
     Raises:
         InfeasibleMotion: The file's motion exceeds a limit, or no random motion respects all
             limits.
-        ExperimentError: The file is no motion, of another robot, or too fast for the controller.
+        ExperimentError: The file contains no motion or that of another robot, or the motion is too
+            fast for the controller.
     """
     table, rate = experiment.motion, experiment.measurement.rate
     rules = rules_of(
@@ -102,9 +103,9 @@ def validation_motion(experiment: Experiment, tree: Tree) -> Fourier:
 
 
 def plate_noise_of(experiment: Experiment) -> Array:
-    """Standard deviations of the wrench measured by `robot.sensor` or the plate, (6,) [N, N m].
+    """Noise standard deviations of `robot.sensor` or of the plate, (6,) [N, N m].
 
-    `DEFAULT_PLATE_NOISE` if a component is simulated without noise.
+    The default `DEFAULT_PLATE_NOISE` is used if a component is simulated without noise.
     """
     instrument = experiment.sensor_instruments.get(
         experiment.robot.sensor, experiment.measurement
@@ -121,18 +122,18 @@ def rules_of(
     designed: bool,
     previous_rules: MotionConstraints | None = None,
 ) -> MotionConstraints:
-    """Limits of motions of an experiment's robot: joints, forces, distances between bodies.
+    """Limits on the motions of an experiment's robot: joints, forces, distances between bodies.
 
     Args:
         experiment: Limits in `motion` and `excitation`.
         tree: Robot of the experiment.
-        designed: True for a motion that is designed for this plate: limits with their margin, and
-            ranges of the sensors. False for a random motion: full limits, and the plate's range
-            only if `excitation.plate_range` is set.
-        previous_rules: Rules of the same experiment, whose collision shapes are reused.
+        designed: True for a motion designed for this plate, which respects the limits with their
+            margin and the ranges of the sensors. False for a random motion, which may use the full
+            limits and respects the plate's range only if `excitation.plate_range` is set.
+        previous_rules: Limits of the same experiment, whose collision shapes are reused.
 
     Raises:
-        ExperimentError: There are obstacles, but the model file has no shapes for distances.
+        ExperimentError: There are obstacles, but the model file has no collision shapes.
     """
     table, motion = experiment.excitation, experiment.motion
     limits = joint_limits(tree, motion.max_velocity, motion.max_acceleration)
@@ -148,15 +149,16 @@ def rules_of(
 def _force_limits(
     experiment: Experiment, tree: Tree, margin: float, *, designed: bool
 ) -> list[ForceTerm]:
-    """Limits of the force plate and of force sensors in the robot.
+    """Limits of the force plate and of the force sensors in the robot.
 
-    The plate's range is `excitation.plate_range`, else, if designed for the plate, the full scale;
-    an area for the centre of pressure limits too. Force sensors' full scales count if designed.
+    The plate's limit is `excitation.plate_range`, or its full scale for a motion designed for the
+    plate; an area for the centre of pressure is a further limit. The full scales of the force
+    sensors are limits for a designed motion only.
 
     Args:
         experiment: Limits in `excitation`, ranges in `measurement` and `sensors`.
         tree: Robot of the experiment.
-        margin: Share of a limit that a motion may use.
+        margin: Fraction of a limit that a motion may use.
         designed: True for a motion that is designed for this plate.
     """
     table, sensor_name = experiment.excitation, experiment.robot.sensor
@@ -193,11 +195,11 @@ def _force_limits(
 
 @dataclass(frozen=True, eq=False)
 class CheckedMotion:
-    """Motion of a file with the proof that it respects limits.
+    """Motion of a file, with the proof that it respects the limits.
 
     Attributes:
         experiment: Experiment with the limits.
-        motion: Fourier series, columns in the order of the robot's joints.
+        motion: Fourier series, with columns in the robot's joint order.
         rules: Limits of the motion.
         proof: Remaining margin to every limit.
     """
@@ -209,16 +211,16 @@ class CheckedMotion:
 
 
 def prove_motion_file(path: Path, settings: Sequence[str] = ()) -> CheckedMotion:
-    """Read a motion file, and prove that its motion respects the robot's limits.
+    """Read a motion file, and prove that the motion respects the robot's limits.
 
-    The file names its model; it may have been written by another program.
+    The file contains the path of its model. It may have been written by another program.
 
     Args:
         path: Motion file.
         settings: Overrides of the experiment, such as "excitation.clearance=0.05".
 
     Raises:
-        ExperimentError: The file is no motion, or of another robot.
+        ExperimentError: The file contains no motion, or the motion of another robot.
     """
     motion_file = read_motion(path)
     experiment, _ = Experiment.of_model(
@@ -233,7 +235,7 @@ def prove_motion_file(path: Path, settings: Sequence[str] = ()) -> CheckedMotion
 
 
 def obstacle_shapes(experiment: Experiment) -> tuple[Shape, ...]:
-    """Obstacle boxes of an experiment as shapes, bedplate frame."""
+    """Collision shapes of an experiment's obstacle boxes, in the bedplate frame."""
     rotation, colour = np.eye(3), np.array([0.0, 0, 0, 1])
     return tuple(
         Shape(-1, "box", np.array(box.size) / 2, np.array(box.centre), rotation, colour)

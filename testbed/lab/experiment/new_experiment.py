@@ -55,7 +55,7 @@ MAX_SWING_RATE = 0.5
 
 @dataclass(frozen=True)
 class ReadableRobot:
-    """Robot of a model file, and the settings by which it was read.
+    """Robot of a model file, and the settings used to read the file.
 
     Attributes:
         tree: The robot.
@@ -75,15 +75,16 @@ class ReadableRobot:
 def read_robot(
     model: Path, repair: InertiasByLink | None, lock: JointLocks | None = None
 ) -> ReadableRobot:
-    """Read a model file, with welded root and locked joints where needed.
+    """Read a model file, with its root welded and joints locked where needed.
 
-    Besides `lock`, joints are locked that a tree cannot have, fingers of grippers, joints with a
-    range too short for motion, and joints that viscous friction holds.
+    In addition to the joints in `lock`, the following are locked: joints that a kinematic tree
+    cannot represent, finger joints of grippers, joints whose range is too short, and joints that
+    viscous friction keeps from moving.
 
     Args:
         model: MJCF or URDF file.
         repair: Replacement bodies; None for the nearest consistent bodies.
-        lock: Joints to lock and their positions [rad or m]; None for the rest position.
+        lock: Positions of joints to lock [rad or m]; None for a joint's rest position.
 
     Raises:
         ModelError: The file cannot be read, or no moving link has a mass.
@@ -115,10 +116,11 @@ def read_robot(
 
 
 def _immobile_joints(tree: Tree) -> dict[str, float]:
-    """Rest positions of joints with too short a range; {} if all joints are so.
+    """Rest positions of joints whose range is too short for identification.
 
-    A joint is too short if its speed stays below the deadband of estimates, for a usual motion
-    (`MAX_SWING_RATE`) or by its velocity limit: its torques identify no parameter.
+    The speed of such a joint stays below the deadband of the identification, because of its range
+    at the usual rate of motion (`MAX_SWING_RATE`) or because of its velocity limit, so that its
+    torque identifies no parameter. The result is empty if this is true of all joints.
     """
     narrow_joints = [
         j
@@ -130,10 +132,11 @@ def _immobile_joints(tree: Tree) -> dict[str, float]:
 
 
 def _braked_joints(tree: Tree) -> dict[str, float]:
-    """Rest positions of joints with prohibitive viscous friction; {} if all joints are so.
+    """Rest positions of joints with prohibitive viscous friction.
 
-    Friction at a moderate speed exceeds `MAX_FRICTION_RATIO` times the robot's weight, for rotary
-    joints times the chain's length.
+    At a moderate speed, the friction of such a joint exceeds `MAX_FRICTION_RATIO` times the robot's
+    weight, multiplied for a revolute joint by the length of the chain. The result is empty if this
+    is true of all joints.
     """
     weight = 9.81 * sum(body.mass for body in tree.inertias)
     lever = np.where([joint.revolute for joint in tree.joints], chain_length(tree), 1.0)
@@ -149,9 +152,10 @@ def _braked_joints(tree: Tree) -> dict[str, float]:
 
 
 def _finger_joints(tree: Tree, followed: Collection[str]) -> dict[str, float]:
-    """Rest positions of finger joints that other joints follow [rad or m]; {} for a lone gripper.
+    """Rest positions of the finger joints that other joints follow [rad or m].
 
-    The stroke of fingers is too short to identify their masses.
+    Fingers move too little for their masses to be identified. The result is empty if the robot
+    consists of a gripper only.
     """
     joints = finger_joints(tree, followed)
     # otherwise the robot is a gripper
@@ -159,7 +163,7 @@ def _finger_joints(tree: Tree, followed: Collection[str]) -> dict[str, float]:
 
 
 def _rest_positions(tree: Tree, indices: Iterable[int]) -> dict[str, float]:
-    """Rest positions of joints by name [rad or m], to six digits.
+    """Rest positions keyed by joint name [rad or m], rounded to six digits.
 
     Args:
         tree: The robot.
@@ -206,7 +210,7 @@ def new_experiment(
 ) -> str:
     """Text of an experiment file for a robot model, ready to run.
 
-    Values that the model file lacks are assumed, and marked.
+    Values that the model file lacks are assumed, and marked as such.
 
     Args:
         model: MJCF or URDF file. A floating root is welded; joints that mimic others and grippers
@@ -215,12 +219,12 @@ def new_experiment(
         strict: Refuse bodies that are not physically consistent instead of repairing them.
         run_trial: Simulate one second of the experiment; if it fails, change step, speed or
             clearance until it runs (`tested_text`).
-        lock: Joints to lock and their positions [rad or m]; None for the rest position.
+        lock: Positions of joints to lock [rad or m]; None for a joint's rest position.
         report_line: Called with a line for every repair, and every assumption after a failed trial.
 
     Raises:
         ModelError: The robot cannot be read.
-        ExperimentError: The trial fails with all changes.
+        ExperimentError: The trial simulation fails even with all changes.
     """
     robot = read_robot(model, {} if strict else None, lock)
     diagnostics = (*robot.tree.diagnostics, *find_placeholders(robot.tree).diagnostics)
@@ -254,10 +258,10 @@ def new_experiment(
 
 
 def _template_values(robot: ReadableRobot, assumed: Assumptions) -> dict[str, Any]:
-    """Values of the template that do not depend on trials, by name.
+    """Template variables that do not depend on the trial simulations, by name.
 
-    A harmonic for every `PARAMETERS_PER_HARMONIC` parameters; a period for which the fastest is at
-    most `MAX_HARMONIC_FREQUENCY`.
+    The motion has one harmonic per `PARAMETERS_PER_HARMONIC` parameters, and a period at which the
+    frequency of the highest harmonic is at most `MAX_HARMONIC_FREQUENCY`.
     """
     tree = robot.tree
     unknowns = minimal_set(tree, "wrench").count
@@ -307,7 +311,7 @@ _UNITS = {
 
 
 def _template_environment() -> jinja2.Environment:
-    """Template environment of this package, with filters that write TOML in one line."""
+    """Template environment of this package, with filters that format values as TOML."""
     environment = jinja2.Environment(  # for TOML, without escaping of HTML
         loader=jinja2.PackageLoader("testbed.lab", "experiment"),
         undefined=jinja2.StrictUndefined,
@@ -329,14 +333,17 @@ def _template_environment() -> jinja2.Environment:
 
 
 def _flaw_lines(repair: Repair) -> Iterator[str]:
-    """Yield lines on the first `MAX_LISTED_FLAWS` inconsistent bodies and the number of others."""
+    """Yield a line for each of the first `MAX_LISTED_FLAWS` inconsistent bodies.
+
+    A last line has the number of further bodies.
+    """
     yield from (f"  {flaw}" for flaw in repair.flaws[:MAX_LISTED_FLAWS])
     if len(repair.flaws) > MAX_LISTED_FLAWS:
         yield f"  and {len(repair.flaws) - MAX_LISTED_FLAWS} more"
 
 
 def _toml_key(name: str) -> str:
-    """TOML key of a name, quoted where needed."""
+    """TOML key for a name, in quotes where needed."""
     return tomli_w.dumps({name: 0}).rstrip().removesuffix(" = 0")
 
 
@@ -346,7 +353,7 @@ def _toml_value(value: Any) -> str:
 
 
 def _inline_table(values: Mapping[str, Any]) -> str:
-    """Inline TOML table."""
+    """Text of an inline TOML table."""
     return (
         "{ "
         f"{', '.join(f'{_toml_key(key)} = {_toml_value(value)}' for key, value in values.items())}"

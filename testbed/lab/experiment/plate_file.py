@@ -28,7 +28,7 @@ _HEADER = """\
 
 
 class _CoefficientTable(StrictTable):
-    """Calibrated coefficient: value, standard deviation and unit."""
+    """Calibrated coefficient with standard deviation and unit."""
 
     value: Finite
     sigma: Finite = 0.0
@@ -46,7 +46,7 @@ class _CalibrationTable(BaseModel):
 
 
 def write_calibration(plate: Calibration, path: Path) -> None:
-    """Write the calibration of a force plate as TOML: coefficients, known values, correlation.
+    """Write the calibration of a force plate as TOML: coefficients, known values, correlations.
 
     Args:
         plate: Calibration.
@@ -71,8 +71,8 @@ def read_calibration(path: Path, tree: Tree) -> Calibration:
     """Read the calibration of a force plate.
 
     Args:
-        path: File of `write_calibration`, or of the same form.
-        tree: Robot on the plate, for the kinds of the coefficients.
+        path: File written by `write_calibration`, or a file of the same form.
+        tree: Robot on the plate; it determines which coefficients exist.
 
     Raises:
         ExperimentError: The file is not a valid calibration.
@@ -96,7 +96,7 @@ def read_calibration(path: Path, tree: Tree) -> Calibration:
 def _correlation_matrix(
     rows: list[list[float]], count: int, path: Path
 ) -> Array | None:
-    """Correlation matrix of the coefficients, (k, k); None if the file has none.
+    """Correlation matrix of the k coefficients, (k, k); None if the file has none.
 
     Raises:
         ExperimentError: The matrix is not a correlation of k coefficients.

@@ -47,7 +47,7 @@ class Channel:
         name: "Fx" ... "Mz", or the joint's name.
         unit: N or N m.
         measured: Measured signal, (M,) [N, N m].
-        predicted: Predicted signals by method, (M,).
+        predicted: Signal predicted by each method's estimate, (M,).
     """
 
     kind: Literal["wrench", "torque"]
@@ -59,12 +59,12 @@ class Channel:
 
     @property
     def curves(self) -> dict[Any, Array]:
-        """Measured and predicted signals by name, (M,) each."""
+        """Measured and predicted signals, keyed by "measured" or method, (M,) each."""
         return {"measured": self.measured, **self.predicted}
 
     @property
     def residuals(self) -> dict[Signal, Array]:
-        """Measured minus predicted signal by method, (M,)."""
+        """Residuals `measured - predicted`, keyed by method, (M,) each."""
         return {method: self.measured - each for method, each in self.predicted.items()}
 
 
@@ -82,7 +82,7 @@ def _channels(
         names: Names of the channels, (k,).
         units: Units of the channels, (k,).
         measured: Measured signals, (M, k).
-        predicted: Predicted signals by method, (M, k).
+        predicted: Predicted signals, keyed by method, (M, k) each.
     """
     for c, (name, unit) in enumerate(zip(names, units, strict=True)):
         column = {method: each[:, c] for method, each in predicted.items()}
@@ -91,17 +91,19 @@ def _channels(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictions(Summarized):
-    """Measured signals of a recording, and predictions by the estimates of a run.
+    """Measured signals of a recording, and predictions from the estimates of a run.
 
     Attributes:
         run: Run with the estimates.
-        recording: Recording of the run, or another of the same robot; joints in the tree's order.
-        motion: Motion of the recording without the ends lost to filters, M samples.
-        channels: Channels of the wrench, the joint torques, or both. The wrench contains the
-            pedestal's; joint torques by the plate's estimate lack friction. Sensor errors and model
-            errors that were estimated are removed from the measured signals.
-        unseen: True if the recording is not that of the run.
-        doubt: Mean squares of the uncertainty of the removed model errors by method, (C,).
+        recording: Recording of the run, or another one of the same robot; joints in the tree's
+            order.
+        motion: Motion of the recording, M samples; the ends lost to filters are excluded.
+        channels: Channels of the wrench, of the joint torques, or of both. The wrench includes the
+            pedestal's share; joint torques predicted from the plate's estimate contain no friction.
+            Estimated sensor errors and model errors are removed from the measured signals.
+        unseen: True if the recording is not the run's own.
+        doubt: Mean square of the uncertainty of the removed model errors in each of the C channels,
+            (C,), keyed by method.
     """
 
     run: Run
@@ -113,7 +115,7 @@ class Predictions(Summarized):
 
     @property
     def summary(self) -> SummaryTable:
-        """Table with the rms of each channel and of its residuals by every estimate."""
+        """Table with the rms of each channel, and of its residuals for every estimate."""
         rows = []
         for each in self.channels:
             values = each.measured, *each.residuals.values()
@@ -127,9 +129,9 @@ class Predictions(Summarized):
         return self.motion.t
 
     def to_frame(self) -> Any:
-        """Measured and predicted signals over time, as a data frame of pandas, polars or Arrow.
+        """Measured and predicted signals over time, as a pandas, polars or Arrow data frame.
 
-        Columns "time" [s] and "KIND/CHANNEL/CURVE", such as "wrench/Fx/measured".
+        The columns are "time" [s] and "KIND/CHANNEL/CURVE", such as "wrench/Fx/measured".
         """
         columns: dict[str, Array] = {"time": self.time}
         for each in self.channels:
@@ -141,11 +143,11 @@ class Predictions(Summarized):
 
     @cached_property
     def band(self) -> dict[Signal, Array]:
-        """Half widths of 95 % bands about predictions, by method, (M, C) [N, N m].
+        """Half widths of 95 % bands about the predictions, keyed by method, (M, C) [N, N m].
 
-        Each method has the band of its own signal. It contains the covariance of the parameters,
-        the variance of model errors, and noise below the cutoff of the estimate's rows: `smoothed`
-        signals should be within.
+        The band of a method applies to the C channels of its own signal. It accounts for the
+        covariance of the parameters, the variance of model errors, and the noise below the cutoff
+        of the estimate's rows, so that about 95 % of the `smoothed` measurements should lie within.
         """
         widths = {}
         for method, estimate in self.run.estimates.items():
@@ -159,9 +161,10 @@ class Predictions(Summarized):
 
     @cached_property
     def unexplained_torque(self) -> Array | None:
-        """Motor torque minus the rigid bodies' torque by the plate's estimate, (M, n) [N m or N].
+        """Motor torque less the rigid-body torque predicted from the plate, (M, n) [N m or N].
 
-        It consists of friction and errors of the drives. None without torques or that estimate.
+        The difference consists of friction and errors of the drives. The result is None if torques
+        were not recorded or the plate gave no estimate.
         """
         residuals = [
             each.residuals["wrench"]
@@ -173,7 +176,7 @@ class Predictions(Summarized):
     def smoothed(self, cutoff: float) -> Predictions:
         """Copy with all signals low-pass filtered, without the ends lost to the filter.
 
-        Unchanged if the recording is too short for the filter.
+        The predictions are unchanged if the recording is too short for the filter.
 
         Args:
             cutoff: Frequency at which the gain is one half [Hz].
@@ -201,9 +204,9 @@ class Predictions(Summarized):
         return replace(self, motion=self.motion[samples], channels=tuple(channels))
 
     def friction(self, speed: Array) -> Array | None:
-        """Joint friction by the torque estimate at given speeds, (k, n) [N m or N].
+        """Joint friction at given speeds from the torque estimate, (k, n) [N m or N].
 
-        None without a torque estimate.
+        The result is None if there is no torque estimate.
 
         Args:
             speed: Joint velocities, (k, n) [rad/s or m/s].
@@ -215,11 +218,11 @@ class Predictions(Summarized):
 def _corrected_recording(
     run: Run, recording: Recording
 ) -> tuple[Recording, dict[Signal, Array]]:
-    """Recording without the estimated sensor and model errors, with the model errors' uncertainty.
+    """Recording with the estimated sensor and model errors removed, and their uncertainty.
 
-    With such errors it is the longest segment of the recording, otherwise the recording itself. The
-    uncertainty is the mean square of the errors in the removed model errors by channel, (C,), by
-    method.
+    If there are such errors, the result is the longest segment of the recording; otherwise it is
+    the whole recording. The uncertainty, keyed by method, is the mean square error of the removed
+    model errors in each of the C channels, (C,).
     """
     variance: dict[Signal, Array] = {}
     plate_estimate = run.estimates.get("wrench")
@@ -248,11 +251,11 @@ def run_from_estimates(data: Recording, *estimates: Estimate | Information) -> R
 
     Args:
         data: Recording of the robot.
-        estimates: At least one estimate, or sums of information with estimates; robot and settings
-            are those of the first, and of two estimates by one method the later is used.
+        estimates: At least one estimate, or `Information` that yields one. Robot and settings are
+            taken from the first; if two estimates use the same method, the later is used.
 
     Raises:
-        SettingsError: There is no estimate, or another value is given.
+        SettingsError: No estimate is given, or a value of another type.
     """
     inputs: list[object] = []
     for each in estimates:
@@ -275,12 +278,12 @@ def run_from_estimates(data: Recording, *estimates: Estimate | Information) -> R
 def predict(
     data: Recording | Run, *inputs: Estimate | Information | Recording | None
 ) -> Predictions:
-    """Predict a recording's signals by estimates, and compare with the measurements.
+    """Predict a recording's signals from estimates, for comparison with the measurements.
 
     Args:
         data: Recording of the robot, or a run with its own estimates.
-        inputs: For a recording, the estimates; for a run, another recording to be predicted, or
-            nothing for the run's own.
+        inputs: For a recording, the estimates. For a run, another recording to predict; if omitted,
+            the run's own recording.
 
     Raises:
         RecordingError: The recording is of another robot.

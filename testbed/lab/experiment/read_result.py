@@ -50,16 +50,16 @@ MAX_RESULT_BYTES = 50_000_000
 
 @dataclass(frozen=True, eq=False)
 class StoredResult:
-    """Estimates of a file, with their robot and settings.
+    """Estimates stored in a file, with their robot and settings.
 
     Attributes:
         tree: The robot.
         settings: Filters and other settings of the estimates.
-        prior: Robot with the bodies of the prior: those of the model file; for a run, whose model
-            file is the truth, the perturbed bodies of its experiment.
-        options: Options of consistent bodies, with the prior error that the data chose.
-        estimates: Estimates by least squares, one per method.
-        reported_estimates: Reported estimates, one per method.
+        prior: Robot with the prior bodies. These are the bodies of the model file, or, for a
+            simulated run, whose model file is the truth, the perturbed bodies of its experiment.
+        options: Options of the consistent bodies, with the prior error chosen from the data.
+        estimates: Least-squares estimates, one per method.
+        reported_estimates: Estimates reported to the user, one per method.
     """
 
     tree: Tree
@@ -76,10 +76,10 @@ class StoredResult:
 
     @property
     def full_estimates(self) -> list[Estimate]:
-        """Least-squares estimates with the structure of their parameters.
+        """Least-squares estimates, with the minimal sets to which their parameters belong.
 
         Raises:
-            SettingsError: The parameters are not those of the robot and the settings.
+            SettingsError: The parameters do not match the robot and the settings.
         """
         settings = self.settings
         return [
@@ -88,13 +88,13 @@ class StoredResult:
         ]
 
     def without_locked_joints(self, source: Source) -> Source:
-        """Recording without the columns of locked joints.
+        """Recording with the columns of locked joints removed.
 
         Args:
             source: Recording that may have these columns.
 
         Raises:
-            RecordingError: A locked joint moves in the recording, or has another position.
+            RecordingError: A locked joint moves in the recording, or rests at another position.
         """
         return hold_still(self.file, source, lock_only=True)[1]
 
@@ -106,11 +106,11 @@ def read_result(
 
     Args:
         path: Output of `identify --json`, a run folder, or the result file in it.
-        model: Present path of the model file; default the path in the file.
+        model: Current path of the model file; default the path stored in the file.
         settings: Overrides "table.key=value" of robot and identification.
 
     Raises:
-        ExperimentError: The file is no such result, or the model file has changed.
+        ExperimentError: The file contains no such result, or the model file has changed.
         OSError: The file cannot be read.
     """
     if path.is_dir():
@@ -141,7 +141,7 @@ def read_result(
 def _stored_estimates(
     content: dict[str, Any], path: Path
 ) -> tuple[tuple[EstimateSummary, ...], tuple[ReportedEstimate, ...]]:
-    """Least-squares estimates and reported estimates of a file, one per method each.
+    """Least-squares and reported estimates of a file, each with one estimate per method.
 
     Raises:
         ExperimentError: There is no estimate, or an estimate is not valid.
@@ -171,13 +171,15 @@ def _stored_estimates(
 def _estimates_by_method(
     kind: type[AnyEstimate], content: Any, path: Path, suffix: str = ""
 ) -> dict[Signal, AnyEstimate]:
-    """Estimates of a JSON object by method, ordered as `SIGNALS`; {} if it is no object.
+    """Estimates of a JSON object keyed by method, in the order of `SIGNALS`.
+
+    The result is empty if `content` is not an object.
 
     Args:
         kind: Class of the estimates.
         content: JSON values by method.
         path: Path of the file, for error messages.
-        suffix: Place within the file, for error messages.
+        suffix: Position within the file, for error messages.
 
     Raises:
         ExperimentError: An estimate is not valid.
@@ -197,7 +199,7 @@ def _decoded_estimate(
     Args:
         kind: Class of the estimate.
         content: JSON values.
-        source: File and place of the estimate, for error messages.
+        source: File name and position of the estimate, for error messages.
 
     Raises:
         ExperimentError: A field is missing, not valid or not finite, or a residual is negative.
@@ -225,10 +227,10 @@ def _decoded_estimate(
 
 
 def _json_object(path: Path) -> dict[str, Any]:
-    """JSON object in a file.
+    """Read the JSON object in a file.
 
     Raises:
-        ExperimentError: The file is not JSON, or no object.
+        ExperimentError: The file is not JSON, or contains no object.
     """
     try:
         content = parse_json(read_text(path, MAX_RESULT_BYTES).encode())
@@ -244,15 +246,15 @@ def _json_object(path: Path) -> dict[str, Any]:
 def _recording_result(
     content: dict[str, Any], path: Path, model: Path | None, overrides: Sequence[str]
 ) -> StoredResult:
-    """Robot and settings of a result that contains its settings, as from `identify --json`.
+    """Robot and settings of a result that contains both, as from `identify --json`.
 
-    Unless overridden, the prior error of the consistent bodies is the smallest one of the
-    posteriors that are used.
+    Unless overridden, the prior error of the consistent bodies is the smallest prior error of the
+    posteriors in use.
 
     Args:
         content: JSON object of the result.
         path: Path of the result, for error messages.
-        model: Present path of the model file; default the path in the result.
+        model: Current path of the model file; default the path in the result.
         overrides: Overrides "table.key=value".
     """
     used_model = validate_tables(UsedModel, content.get("model", {}), f"{path}: model")
@@ -292,12 +294,12 @@ def _recording_result(
 def _run_result(
     content: dict[str, Any], path: Path, model: Path | None, overrides: Sequence[str]
 ) -> StoredResult:
-    """Robot and settings of a result in a run folder, from its experiment file.
+    """Robot and settings of a result in a run folder, read from its experiment file.
 
     Args:
         content: JSON object of the result.
         path: Path of the result.
-        model: Present path of the model file; default the experiment's.
+        model: Current path of the model file; default the path in the experiment file.
         overrides: Overrides "table.key=value".
     """
     experiment_path = path.parent / EXPERIMENT_FILE
@@ -318,7 +320,7 @@ def _run_result(
 
 
 def _checked_model(model: Path, sha256: object, path: Path) -> Path:
-    """Path of a model file, checked: its SHA-256 must be that of the result's model.
+    """Path of a model file whose SHA-256 equals the one in the result.
 
     Args:
         model: Path of the model file.
@@ -340,9 +342,10 @@ def _checked_model(model: Path, sha256: object, path: Path) -> Path:
 
 
 def prior_covariance(result: StoredResult, experiment: Experiment) -> Array:
-    """Covariance of an earlier estimate in the order of an experiment's N parameters, (N, N).
+    """Covariance of an earlier estimate, in an experiment's parameter order, (N, N).
 
-    The first least-squares estimate by the method that has all base parameters of the robot.
+    The N parameters are the base parameters of the experiment's robot. The first least-squares
+    estimate by the selected method that has all of them is used.
 
     Args:
         result: Estimates of a file.
@@ -350,7 +353,7 @@ def prior_covariance(result: StoredResult, experiment: Experiment) -> Array:
             "joints", else the wrench.
 
     Raises:
-        ExperimentError: The file has no estimate of all these parameters.
+        ExperimentError: The file has no estimate of all N parameters.
     """
     by_torque = experiment.excitation.instrument == "joints"
     method = "torque" if by_torque else "wrench"

@@ -34,14 +34,16 @@ def record(
 
     Args:
         experiment: Robot, motion, plant and sensors.
-        progress: Called with the number of samples done and in all.
+        progress: Called with the number of finished samples and of all samples.
         watch: Called with the simulated states about once a second of simulation.
-        forces: Forces on the joints besides those of the experiment, called before every step.
-        installed: Seed of the constant signs and phases of sensor errors; default the experiment's.
-        motion: Motion instead of the experiment's.
+        forces: Function for joint forces in addition to those of the experiment, called before
+            every step.
+        installed: Seed of the constant signs and phases of sensor errors; default the experiment's
+            seed.
+        motion: Motion that replaces the experiment's.
 
     Raises:
-        TestbedError: The experiment cannot be carried out as written.
+        TestbedError: The experiment cannot be carried out as specified.
     """
     table = experiment.motion
     rig = rig_of(experiment)
@@ -66,9 +68,9 @@ def record(
 
 
 def _check_motion(experiment: Experiment) -> None:
-    """Refuse random motions that do not fit sampling rate and duration.
+    """Check that the random motions fit the sampling rate and the duration.
 
-    Motions of a file are not checked.
+    The motion of a file is not checked.
 
     Raises:
         ExperimentError: The fastest harmonic is too fast for the rate or too slow for the duration.

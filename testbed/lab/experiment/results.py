@@ -57,7 +57,7 @@ HASH_DIGITS = 16
 def provenance_lines(
     bodies: Consistent, model: ModelFile, recordings: Sequence[Path]
 ) -> list[str]:
-    """Comment lines on versions, methods, recordings and prior of a written model file."""
+    """Comment lines with version, methods, recordings and prior of a written model file."""
     methods = " and ".join(each.method for each in bodies.bent)
     return [
         f"testbed {package_versions()['testbed']}: inertials and joint losses are physically "
@@ -94,7 +94,7 @@ INTERNAL_FIELDS = {"estimates": {"__all__": {"normal_equations", "measured_equat
 
 
 class UsedModel(StrictTable):
-    """A model file, and how it was read."""
+    """Model file of a result, and the settings used to read it."""
 
     path: str
     """Path of the file."""
@@ -126,9 +126,9 @@ class Result:
         format: Version of this document.
         source: Versions of the program, and SHA-256 of the files in a run folder.
         name: Name of the run.
-        claim: Claim of its experiment.
+        claim: Claim of the experiment, in words.
         expect: Claimed bounds by metric.
-        verdicts: Truth of each claim, by metric.
+        verdicts: True for each bound that holds, by metric.
         as_expected: True if all claims hold.
         estimates: Estimates by method.
         failures: Reason of failure by method.
@@ -171,7 +171,7 @@ class Result:
 
 
 def run_result(run: Run, source: Mapping[str, str] | None = None) -> Result:
-    """Result of a run; `source` holds its versions and file hashes, default the versions."""
+    """Result of a run; `source` has versions and file hashes, by default the versions."""
     experiment, used_model = run.experiment, None
     if run.model is not None:
         sha256 = run.recording.metadata.model_sha256
@@ -198,7 +198,7 @@ def identification_result(
     *,
     plain: bool = False,
 ) -> Result:
-    """Result of a recording: estimates, with what is needed to build the robot again.
+    """Result of an identification, with the settings needed to rebuild the robot.
 
     Args:
         estimates: Estimates by one method or both.
@@ -238,7 +238,7 @@ def identification_result(
 def _completed_tables(
     tables: RecordingTables, estimates: Iterable[Estimate]
 ) -> RecordingTables:
-    """Copy of the tables with the estimates' chosen joint terms and motor shafts."""
+    """Copy of the tables, completed by joint terms and motor shafts of the estimates."""
     robot, estimates = tables.robot, list(estimates)
     for drives in (estimate.drives for estimate in estimates):
         if drives is not None and drives.tree.shafts:
@@ -253,14 +253,14 @@ def _completed_tables(
 
 
 def write_estimates(result: Result, path: Path) -> None:
-    """Write a result with all digits, normal equations included; a file at `path` is replaced."""
+    """Write a result with all digits and the normal equations; an existing file is replaced."""
     write_atomically(
         path, gzip.compress(json_text(to_json_values(result), exact=True), mtime=0)
     )
 
 
 def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | None:
-    """Read the estimates of a run from a file of `write_estimates`.
+    """Read the estimates of a run from a file written by `write_estimates`.
 
     Returns:
         The run with estimates; None if the file does not exist, is damaged, or has another source.
@@ -285,7 +285,7 @@ def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | Non
 
 
 def _value_makers(run: Run) -> ValueFactories:
-    """Constructors of values stored by name, by class: minimal sets, drive sets, joint laws."""
+    """Constructors, keyed by class, of values that are stored by name only."""
     tree, settings = run.tree, run.settings
     sets = {
         minimal.model: minimal
@@ -315,15 +315,15 @@ MODEL_FOLDER = "model"
 
 
 def default_folder(experiment: Experiment) -> Path:
-    """Default run folder, runs/NAME-HASH; the hash includes the content of the model file."""
+    """Default run folder, runs/NAME-HASH; the hash covers the model file's content."""
     return Path("runs") / f"{experiment.name}-{_experiment_hash(experiment)[:8]}"
 
 
 def check_folder(folder: Path, experiment: Experiment, *, force: bool = False) -> None:
-    """Refuse to write a run to a folder with other content.
+    """Raise ExperimentError if a run folder has content that must not be replaced.
 
-    A new folder, and a folder of the same experiment are accepted, with `force` also a folder of
-    another experiment.
+    A new folder and a folder of the same experiment may be written. With `force`, so may a folder
+    of another experiment.
 
     Args:
         folder: Run folder.
@@ -373,7 +373,7 @@ def check_folder(folder: Path, experiment: Experiment, *, force: bool = False) -
 
 
 def write_run(run: Run, folder: Path) -> None:
-    """Write a run folder; an existing folder is replaced when all files are complete.
+    """Write a run folder; it replaces an existing folder once all files are complete.
 
     Raises:
         ExperimentError: The run has no experiment.
@@ -399,7 +399,7 @@ def write_recording_folder(
     Args:
         experiment: Experiment that made the recording.
         recording: Measured signals.
-        folder: Run folder; an existing folder is replaced when all files are complete.
+        folder: Run folder; an existing folder is replaced once all files are complete.
     """
     with atomic_output(folder, folder=True) as new_folder:
         _write_files(experiment, recording, new_folder)
@@ -445,16 +445,16 @@ def _is_run_of(folder: Path, experiment: Experiment) -> bool:
 
 
 def read_run(folder: Path) -> Run:
-    """Read the run of a run folder.
+    """Read a run from its run folder.
 
-    The estimates are computed again, and not validated, if the folder has none, has changed, or is
-    of other versions.
+    If estimates are missing, outdated or from other package versions, they are computed again, and
+    the run has no validation.
 
     Args:
         folder: Run folder.
 
     Raises:
-        ExperimentError: The folder is no run folder, or the model file is not the run's.
+        ExperimentError: The folder is not a run folder, or the model file is not the run's.
     """
     missing = [
         name
@@ -489,7 +489,7 @@ def read_run(folder: Path) -> Run:
 
 
 def _estimates_source(folder: Path) -> dict[str, str]:
-    """Versions of packages, and SHA-256 by name of a run folder's input files."""
+    """Package versions, and SHA-256 of a run folder's input files, by name."""
     files = [
         name
         for name in (EXPERIMENT_FILE, RECORDING_FILE, VALIDATION_FILE)

@@ -55,9 +55,10 @@ class Rig(Summarized):
         sensors: Recorded signals with their errors, besides positions. Default: all, without
             errors.
         rate: Sampling rate of sensors and controller [Hz].
-        averaged: True if samples are means over the sampling time, False for values at its start.
-        friction: Keep the joints' friction.
-        step: Integration step where a joint sticks or reverses; elsewhere up to 1 ms [s].
+        averaged: True if a sample is the mean over the sampling time, False if it is the value at
+            its start.
+        friction: True to simulate the joints' friction.
+        step: Integration step while a joint sticks or reverses [s]; otherwise steps are up to 1 ms.
         bandwidth: Bandwidth of the joint controllers [rad/s].
         warm_up: Simulated time before the recording starts [s].
     """
@@ -117,7 +118,7 @@ class Rig(Summarized):
 
     @property
     def summary(self) -> SummaryTable:
-        """Robot, plant and sensors, a line each."""
+        """Table with one line each for robot, plant and sensors."""
         rows = [("robot", repr(self.robot))]
         rows += [("plant", repr(each)) for each in self.plant]
         rows += [("sensor", repr(each)) for each in self.sensors]
@@ -134,7 +135,7 @@ class Rig(Summarized):
 
     @property
     def true_robot(self) -> Tree:
-        """Robot with the payloads and rotors that the plant's effects add."""
+        """Robot including the payloads and rotors added by the plant's effects."""
         tree = self.robot
         for effect in self.plant:
             tree = effect.robot_with_effect(tree)
@@ -147,20 +148,21 @@ class Rig(Summarized):
 
     @property
     def mounted(self) -> dict[ForceSensor, ForcePlate]:
-        """Force sensors in the robot, by mounting."""
+        """Force sensors in the robot, keyed by their mounting."""
         plates = (each for each in self.sensors if isinstance(each, ForcePlate))
         return {each.mounting: each for each in plates if each.mounting is not None}
 
     @property
     def instrument(self) -> Instrument:
-        """Sensors of the joints and the plate under the robot as one instrument."""
+        """Instrument that combines the sensors of the joints and the plate under the robot."""
         return self.instrument_of(*self.outer)
 
     def instrument_of(self, *sensors: Sensor) -> Instrument:
         """Combine sensors into one instrument at the rig's sampling rate.
 
         Args:
-            sensors: At most one sensor of each class; a class without sensor has no errors.
+            sensors: At most one sensor of each class; the signals of a missing class have no
+                errors.
         """
         settings = {
             key: value for each in sensors for key, value in each.settings.items()
@@ -213,7 +215,7 @@ def rig_of(experiment: Experiment) -> Rig:
         experiment: Experiment with its model file.
 
     Raises:
-        UnknownName: A table has a joint that does not exist.
+        UnknownName: A table is for a joint that does not exist.
         ExperimentError: `robot.base` is "measured": experiments have a bedplate.
     """
     tree = experiment.file.tree()
@@ -235,10 +237,13 @@ def rig_of(experiment: Experiment) -> Rig:
 
 
 def robot_of(experiment: Experiment) -> Tree:
-    """Robot of an experiment under its gravity, with payloads and rotors of its plant."""
+    """Robot of an experiment under its gravity, including the plant's payloads and rotors."""
     return rig_of(experiment).true_robot
 
 
 def sensed_robot(experiment: Experiment) -> Tree:
-    """Part of an experiment's robot whose wrench is measured: all, or beyond a force sensor."""
+    """Links of an experiment's robot whose wrench is measured.
+
+    These are all links, or those selected by `robot.sensor`.
+    """
     return experiment.sensed_part(robot_of(experiment))

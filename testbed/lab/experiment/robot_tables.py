@@ -42,7 +42,7 @@ class StrictTable(BaseModel):
 
 
 class JointTable(StrictTable):
-    """Limits, friction and rotor of a joint, instead of the model file's."""
+    """Limits, friction and rotor of a joint, in place of the model file's values."""
 
     position_range: Interval | None = None
     """Smallest and largest position [rad or m]."""
@@ -63,7 +63,7 @@ class JointTable(StrictTable):
 
 
 class BodyTable(StrictTable):
-    """Mass, centre of mass and inertia of a link with all links fixed to it."""
+    """Mass, centre of mass and inertia of a link, including all links fixed to it."""
 
     mass: NotNegative
     """Mass [kg]."""
@@ -117,7 +117,7 @@ class SensorTable(StrictTable):
 
     @model_validator(mode="after")
     def _check_faults(self) -> SensorTable:
-        """Raise ValueError for errors that are not errors of a wrench."""
+        """Raise ValueError for sensor errors that do not apply to a wrench."""
         for fault in self.fault:
             if fault.signal != "wrench":
                 raise ValueError(
@@ -126,7 +126,7 @@ class SensorTable(StrictTable):
         return self
 
     def force_sensor(self, name: str) -> ForceSensor:
-        """Force sensor with this placement.
+        """Force sensor with the mounting of this table.
 
         Args:
             name: Name of the sensor.
@@ -162,12 +162,12 @@ class RobotTable(StrictTable):
 
     @property
     def replacement_inertias(self) -> dict[str, Inertia]:
-        """Replacement inertias of links, by link."""
+        """Replacement inertias, keyed by link."""
         return {name: table.inertia_at_origin for name, table in self.repair.items()}
 
     @property
     def joint_settings(self) -> dict[str, dict[str, object]]:
-        """Joint settings of `joint` without rotor spin, by joint and key."""
+        """Settings of the table `joint` except rotor spins, keyed by joint and setting."""
         excluded = {"rotor_spin"}
         return {
             name: table.model_dump(exclude_none=True, exclude=excluded)
@@ -189,7 +189,7 @@ class RobotTable(StrictTable):
 
     @property
     def rotor_spins(self) -> dict[str, float]:
-        """Rotor spins that are given, by joint [kg m^2]."""
+        """Given rotor spins, keyed by joint [kg m^2]."""
         spins = {name: table.rotor_spin for name, table in self.joint.items()}
         return {name: spin for name, spin in spins.items() if spin is not None}
 
@@ -199,7 +199,10 @@ PLATE = "plate"
 
 
 def _check_sensor_name(name: str) -> str:
-    """Raise ValueError for a sensor's name "plate", with a slash, or not printable."""
+    """Raise ValueError for an invalid sensor name.
+
+    Invalid are "plate", names with a slash, and names with unprintable characters.
+    """
     if name == PLATE or not name.isprintable() or "/" in name:
         raise ValueError(f"'{name}' is no name of a force sensor")
     return name
@@ -220,17 +223,20 @@ class RobotTables(StrictTable):
 
     @property
     def force_sensors(self) -> dict[str, ForceSensor]:
-        """Force sensors by name; a link in `robot.sensor` adds a sensor of its name."""
+        """Force sensors keyed by name.
+
+        If `robot.sensor` is a link, a sensor with the link's name is added.
+        """
         tables, sensor = self.sensors, self.robot.sensor
         if sensor and sensor != PLATE and sensor not in tables:
             tables = tables | {sensor: SensorTable()}
         return {name: table.force_sensor(name) for name, table in tables.items()}
 
     def sensed_part(self, tree: Tree) -> Tree:
-        """Part of a robot whose wrench is measured: whole, or links beyond a sensor.
+        """Links of a robot whose wrench is measured, as selected by `robot.sensor`.
 
-        By `robot.sensor`: "" for the whole robot, "plate" for the links up to the first force
-        sensors, a sensor for the links beyond, up to the next sensors.
+        The setting is "" for the whole robot, "plate" for the links up to the first force sensors,
+        or the name of a sensor for the links beyond it, up to the next sensors.
 
         Args:
             tree: Whole robot.
@@ -249,7 +255,7 @@ class RobotTables(StrictTable):
 
 
 class RecordingTables(RobotTables):
-    """Settings by `--set` for a recording without an experiment."""
+    """Settings from `--set` for a recording that has no experiment."""
 
     identification: Settings = Settings()
     """Settings of the estimates."""

@@ -59,7 +59,8 @@ from testbed.lab.experiment.score import Errors, Score, drive_metrics, score
 def recorded_motion(recording: Recording, settings: Settings) -> tuple[Motion, slice]:
     """Motion of a recording's longest segment without gaps, and the slice of its samples.
 
-    Derivatives are finite differences without filter if the segment is too short for the filters.
+    If the segment is too short for the filters, derivatives are finite differences of unfiltered
+    positions.
 
     Args:
         recording: Recording of at least two samples.
@@ -95,12 +96,13 @@ RELATIVE_TOLERANCE = 1e-6
 
 
 def correlation_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Yield a diagnostic of pairs of parameters with a correlation above `MIN_CORRELATION`.
+    """Yield a diagnostic of parameter pairs correlated above `MIN_CORRELATION`.
 
-    It lists `MAX_PAIRS` pairs, largest first; nothing is yielded without such a pair.
+    The diagnostic lists the `MAX_PAIRS` largest correlations. Nothing is yielded if there is no
+    such pair.
 
     Args:
-        estimate: Estimate by one method.
+        estimate: Estimate of one method.
     """
     scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 1e-300))
     correlation = np.triu(estimate.covariance / np.outer(scale, scale), 1)
@@ -123,14 +125,15 @@ def correlation_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 
 
 def bias_diagnostics(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic]:
-    """Yield a diagnostic of errors against the truth beyond `Z_THRESHOLD` standard deviations.
+    """Yield a diagnostic of errors larger than `Z_THRESHOLD` standard deviations.
 
-    It contains the parameter with the largest z and the number of others. Relative errors below
-    `RELATIVE_TOLERANCE` are ignored. Nothing is yielded without such an error.
+    The diagnostic contains the parameter with the largest z and the number of other such
+    parameters. Relative errors below `RELATIVE_TOLERANCE` are ignored. Nothing is yielded if there
+    is no such error.
 
     Args:
-        estimate: Estimate by one method.
-        errors: Errors of its values.
+        estimate: Estimate of one method.
+        errors: Errors of the estimate against the truth.
     """
     error = np.abs(estimate.values - errors.truth)
     # for parameters without a scale of relative errors
@@ -176,8 +179,8 @@ class Run(Diagnosed, Summarized):
         diagnostics: Warnings about robot, recording and estimates, in order.
         validation: Residuals of the estimates on another recording, by method; {} without
             validation.
-        unseen: That recording; None without validation.
-        drives: Torque constants and friction identified by the plate; None if not identified.
+        unseen: Recording of the validation; None without validation.
+        drives: Torque constants and friction identified with the plate; None if not identified.
         consistent: Physically consistent bodies; None if not estimated.
         posterior: Estimates with the model file as prior, for an imported recording, by method; {}
             for other recordings.
@@ -202,12 +205,12 @@ class Run(Diagnosed, Summarized):
 
     @property
     def model(self) -> ModelFile | None:
-        """Model file of the robot; None for a robot without file."""
+        """Model file of the robot; None if the robot was not read from a file."""
         return self.tree.file if isinstance(self.tree.file, ModelFile) else None
 
     @property
     def summary(self) -> SummaryTable:
-        """Number of parameters of each estimate, metrics, and warnings."""
+        """Table with the number of parameters of each estimate, the metrics, and the warnings."""
         counts = {
             self.instruments[m]: str(len(e.names)) for m, e in self.estimates.items()
         }
@@ -218,7 +221,7 @@ class Run(Diagnosed, Summarized):
         )
 
     def with_diagnostics(self, more: Iterable[Diagnostic]) -> Run:
-        """Copy of the run with more diagnostics, in order.
+        """Copy of the run with further diagnostics, all diagnostics sorted.
 
         Args:
             more: Additional diagnostics.
@@ -228,7 +231,7 @@ class Run(Diagnosed, Summarized):
         )
 
     def with_metrics(self, metrics: Mapping[str, float]) -> Run:
-        """Copy of the run with more metrics; unchanged without known truth.
+        """Copy of the run with further metrics; unchanged without known truth.
 
         Args:
             metrics: Additional metrics by name.
@@ -257,9 +260,9 @@ class Run(Diagnosed, Summarized):
 
     @property
     def verdicts(self) -> dict[str, bool]:
-        """Truth of each claim in [expect], by metric; {} without experiment.
+        """Verdict on each bound of [expect]: True if it holds, keyed by metric.
 
-        A claim about a metric that the run lacks is False.
+        The result is empty without an experiment. A bound on a metric that the run lacks is False.
         """
         if self.experiment is None:
             return {}
@@ -288,22 +291,23 @@ def assemble_run(
     threads: int | None = None,
     progress: Progress = ignore_progress,
 ) -> Run:
-    """Identify by every possible method, and compare with the truth of an experiment.
+    """Identify by each available method, and score against the truth of an experiment.
 
-    If one method fails, the run has the reason in `failures`, and the estimate by the other method.
+    If one method fails, the run has the reason in `failures`, and the estimate of the other method.
 
     Args:
         tree: The robot.
         recording: Measured signals; its gravity, if given, replaces the tree's.
         name: Name of the run.
         settings: Filters and other settings of the estimates; default those of `Settings()`.
-        experiment: Experiment that made the recording: the tree then holds the truth.
-        doubt: Covariance of the plate's calibration by which the recording was corrected.
+        experiment: Experiment that made the recording, so that `tree` is the true robot.
+        doubt: Covariance of the plate's calibration with which the recording was corrected.
         methods: Methods to identify by: "wrench", "torque" or both.
-        prior_error: Relative error of the model file's bodies, as for `posterior`.
+        prior_error: Relative error assumed for the model file's bodies, as for `posterior`.
         bodies: Prior and options of consistent bodies; None to estimate none.
         threads: Number of threads; default one per processor.
-        progress: Called with the number of samples done and in all, method by method.
+        progress: Called with the number of finished samples and of all samples, for each method in
+            turn.
 
     Raises:
         RecordingError: The recording is of another robot.
@@ -358,10 +362,11 @@ def _run_score(
 def _run_diagnostics(
     run: Run, bodies_failure: TestbedError | None
 ) -> Iterator[Diagnostic]:
-    """Yield diagnostics of verdict, model, recording, estimates, consistent bodies, in order.
+    """Yield the diagnostics of a run.
 
-    The verdict only with posteriors; a failed method only if its signal was recorded, or if all
-    methods failed.
+    In order, these concern verdict, model, recording, estimates and consistent bodies. The verdict
+    has diagnostics only if there are posteriors. A failed method has a diagnostic only if its
+    signal was recorded, or if all methods failed.
     """
     if run.posterior:
         yield from (each for each in run.verdict if each.code != WELL_CODE)
@@ -393,16 +398,16 @@ def _run_diagnostics(
 
 
 def _with_new_diagnostics(run: Run, diagnostics: Iterable[Diagnostic]) -> Run:
-    """Copy of a run with more diagnostics at the end, each only once."""
+    """Copy of a run with further diagnostics appended, without duplicates."""
     unique = dict.fromkeys([*run.diagnostics, *diagnostics])
     return replace(run, diagnostics=tuple(unique))
 
 
 def _with_drives(run: Run, settings: Settings, progress: Progress) -> Run:
-    """Add the drives identified by the plate's estimate to a run.
+    """Add the drives identified from the plate's estimate to a run.
 
-    Metrics of the drives are added in an experiment. A failure is not raised; it gives the
-    diagnostic "drives.missing" with the reason.
+    In an experiment, the metrics of the drives are added, too. A failure is not raised, but gives
+    the diagnostic "drives.missing" with the reason.
     """
     try:
         if run.recording.torque is None or "wrench" not in run.estimates:

@@ -43,10 +43,10 @@ class Accuracy:
     """Prediction errors of one estimate relative to the true signals, without noise.
 
     Attributes:
-        wrench: Rms error of the base wrench over its rms, both about their means, which are the
-            weight and the plate's zero; the larger of forces and moments. None for an estimate by
+        wrench: Ratio of the rms error of the base wrench to its rms, after the means (weight and
+            plate zero) are subtracted; the larger of forces and moments. None for an estimate from
             joint torques, which does not identify the wrench.
-        torque: Rms error of the joint torques of the rigid bodies, without friction, over their
+        torque: Ratio of the rms error of the rigid-body joint torques, without friction, to their
             rms; the larger of rotary and sliding joints. None if all these torques are zero.
     """
 
@@ -60,9 +60,9 @@ def prediction_accuracies(
     zeros: bool | Sequence[str],
     motion: Motion,
 ) -> dict[Signal, Accuracy]:
-    """Prediction errors of estimates along a motion, by method.
+    """Prediction errors of estimates along a motion, keyed by method.
 
-    About `MOTION_SAMPLES` samples, evenly spaced, are compared.
+    The comparison uses about `MOTION_SAMPLES` evenly spaced samples.
 
     Args:
         tree: The robot with its true inertias, under the recording's gravity.
@@ -103,9 +103,9 @@ def _prediction_error(
     *,
     about_mean: bool,
 ) -> float | None:
-    """Rms prediction error of parameters over the rms true signal, largest of all units.
+    """Ratio of rms prediction error to rms true signal, the largest over all units.
 
-    With `about_mean`, error and signal are taken about their means over the motion.
+    With `about_mean`, the means over the motion are subtracted from error and signal.
     """
     columns = regressor(tree, motion, minimal)
     truth = minimal.values(barycentric(tree))
@@ -120,7 +120,7 @@ def _prediction_error(
 def relative_rms_error(
     error: Array, signal: Array, units: Sequence[str]
 ) -> float | None:
-    """Rms error over rms signal, the largest of all units; None without signal.
+    """Ratio of rms error to rms signal, the largest over all units; None without signal.
 
     Args:
         error: Root sum of squares of the error of each channel, (C,) [N, N m].
@@ -152,11 +152,11 @@ class Errors:
     Attributes:
         names: Names of the parameters, (p,).
         truth: True values, (p,).
-        scale: Scales of the relative errors, (p,); NaN without a scale. For a minimal parameter,
-            abs(truth) or 1 % of the largest true value of the same unit, whichever is larger; for a
-            joint's term, abs(truth) or the value that makes 10 % of the joint's rms torque,
-            whichever is larger.
-        relative: Errors over their scales, (p,).
+        scale: Scales of the relative errors, (p,); NaN where there is none. The scale of a minimal
+            parameter is abs(truth) or 1 % of the largest true value of the same unit, whichever is
+            larger; that of a joint term is abs(truth) or the value that produces 10 % of the
+            joint's rms torque, whichever is larger.
+        relative: Errors divided by their scales, (p,).
         z: (estimate - truth) / sigma, (p,); `z` and `relative` are NaN for unidentifiable values.
     """
 
@@ -172,11 +172,11 @@ class Score:
     """Errors of a run's estimates against the truth, with metrics.
 
     Attributes:
-        errors: Errors by method: of the wrench's base parameters (delta_r), and of the torques'
-            base parameters (delta_d) with friction.
-        metrics: Metrics that `[expect]` can bound, by name (docs/experiments.md); without those of
-            a method that has no estimate, and without relative errors that have no scale.
-        accuracy: Prediction errors by method.
+        errors: Errors keyed by method: of the wrench's base parameters (delta_r), and of the
+            torques' base parameters (delta_d) with friction.
+        metrics: Metrics that `[expect]` can bound, by name (docs/experiments.md). Metrics of a
+            method without estimate, and relative errors without a scale, are left out.
+        accuracy: Prediction errors keyed by method.
     """
 
     errors: Mapping[Signal, Errors]
@@ -203,8 +203,8 @@ def score(
 ) -> Score:
     """Compare the estimates of a run with the truth.
 
-    Relative rms errors are over the torques' base parameters, delta_d, which both methods identify:
-    the plate's are computed from its own.
+    Rms relative errors are computed for the torques' base parameters, delta_d. Both methods
+    identify these; the values from the plate are computed from its own base parameters.
 
     Args:
         tree: The robot with its true inertias and friction, under the recording's gravity.
@@ -212,7 +212,7 @@ def score(
         zeros: Known zeros, as in `minimal_set`.
         plant: Simulation table, with friction on or off and further effects.
         motion: Recorded motion, M samples.
-        torque: Motor torques along it, (M, n) [N m or N]; None if not measured.
+        torque: Motor torques along the motion, (M, n) [N m or N]; None if not measured.
     """
     errors = {
         method: _estimate_errors(
@@ -246,7 +246,7 @@ def score(
 
 
 def _true_values(tree: Tree, estimate: Estimate, plant: SimulationTable) -> Array:
-    """True values of an estimate's parameters, in the order of its names."""
+    """True values of an estimate's parameters, in the estimate's order."""
     theta, drives = barycentric(tree), estimate.drives
     if drives is None:
         return estimate.minimal.values(theta)
@@ -261,7 +261,9 @@ def _true_values(tree: Tree, estimate: Estimate, plant: SimulationTable) -> Arra
 
 
 def torque_set_errors(tree: Tree, values: Array, zeros: bool | Sequence[str]) -> Array:
-    """Relative errors of the torques' base parameters computed from the wrench's, (N_d,).
+    """Relative errors of the torques' base parameters, (N_d,).
+
+    These parameters are computed from the base parameters of the wrench.
 
     Args:
         tree: The robot with its true inertias, under the recording's gravity.
@@ -280,7 +282,7 @@ def torque_set_errors(tree: Tree, values: Array, zeros: bool | Sequence[str]) ->
 def _estimate_errors(
     estimate: Estimate, truth: Array, motion: Motion, torque: Array | None
 ) -> Errors:
-    """Errors of one estimate against true values in the order of its names."""
+    """Errors of one estimate against true values in the same order."""
     error = estimate.values - truth
     sigma = np.maximum(estimate.sigma, SMALLEST_POSITIVE)
     count = estimate.minimal.count
@@ -295,9 +297,10 @@ def _estimate_errors(
 def _term_scales(
     estimate: Estimate, truth: Array, motion: Motion, torque: Array | None
 ) -> Iterator[float]:
-    """Yield scales of the joint terms' relative errors, in the order of the terms.
+    """Yield the scales of the joint terms' relative errors, in the order of the terms.
 
-    As in `Errors.scale`; without measured torque the true coefficient alone. NaN for zero.
+    Scales are those of `Errors.scale`. Without measured torques, the scale is the absolute true
+    coefficient, or NaN if this is zero.
     """
     if estimate.drives is None:
         return
@@ -311,7 +314,10 @@ def _term_scales(
 
 
 def _parameter_scales(truth: Array, units: Sequence[str]) -> Array:
-    """Scales of minimal parameters' relative errors, (p,); NaN if all of a unit are zero."""
+    """Scales of the minimal parameters' relative errors, (p,).
+
+    The scale is NaN where all true values of the unit are zero.
+    """
     scale = parameter_scale(truth, units, MIN_PARAMETER_SCALE)
     return np.where(
         scale > MIN_PARAMETER_SCALE * MIN_SIGNAL * scale.max(initial=0.0), scale, np.nan
@@ -319,7 +325,7 @@ def _parameter_scales(truth: Array, units: Sequence[str]) -> Array:
 
 
 def relative_errors(values: Array, truth: Array, units: Sequence[str]) -> Array:
-    """Errors of minimal parameters over their scales, (..., p), as in `Errors.relative`.
+    """Minimal-parameter errors divided by their scales, (..., p), as in `Errors.relative`.
 
     Args:
         values: Parameter values, (..., p).
@@ -345,7 +351,7 @@ def finite_rms(errors: Array) -> float | None:
 
 
 def _largest_error(errors: Array) -> float | None:
-    """Largest absolute error, NaN excluded; None if all are NaN."""
+    """Largest absolute error, ignoring NaN; None if all errors are NaN."""
     sizes = np.abs(errors[~np.isnan(errors)])
     return float(sizes.max()) if sizes.size else None
 
@@ -363,14 +369,15 @@ def drive_metrics(
     recording: Recording,
     findings: DriveIdentification,
 ) -> dict[str, float]:
-    """Metrics of the drives by name (docs/experiments.md); without metrics that have no scale.
+    """Metrics of the drives, keyed by name (docs/experiments.md).
 
-    Torque constants are compared with the true ratios, gear losses of a load friction included.
+    Torque constants are compared with the true ratios, including gear losses of load-dependent
+    friction. Metrics that have no scale are left out.
 
     Args:
         tree: The robot with its true inertias, friction and rotors.
         experiment: Experiment that made the recording.
-        recording: Its recording, joint columns in the order of `tree.names`.
+        recording: Recording of the experiment, joint columns in the order of `tree.names`.
         findings: Drives identified by the plate's estimate.
     """
     constants, load = true_torque_ratios(experiment, recording), np.zeros(tree.n)
@@ -403,10 +410,10 @@ def drive_metrics(
 def _law_errors(
     tree: Tree, drives: Sequence[DriveEstimate], load: Array
 ) -> Iterator[tuple[str, float]]:
-    """Yield names and values of metrics: largest relative error of load, Coulomb, rotor terms.
+    """Yield names and values of the metrics for load, Coulomb and rotor terms.
 
-    Over the joints with a true coefficient; a missing load term counts as zero, a missing other
-    term is left out.
+    A metric is the largest relative error over the joints whose true coefficient is not zero. A
+    missing load term counts as zero; joints without one of the other terms are left out.
     """
     for name, law, truth, missing in (
         ("load", LOAD_FRICTION, load, 0.0),
@@ -425,7 +432,7 @@ def true_torque_ratios(experiment: Experiment, recording: Recording) -> Array:
 
     Args:
         experiment: Experiment that made the recording.
-        recording: Its recording.
+        recording: Recording of the experiment.
     """
     ratio = np.ones(len(recording.names))
     instrument = experiment.measurement
@@ -437,16 +444,16 @@ def true_torque_ratios(experiment: Experiment, recording: Recording) -> Array:
 
 
 def _law_coefficient(drive: DriveEstimate, law: JointLaw, missing: float) -> float:
-    """Coefficient of a law at a joint; `missing` if the joint has no such term."""
+    """Coefficient of a drive's term with a given law; `missing` without such a term."""
     return next((term.value for term in drive.terms if term.law == law), missing)
 
 
 def _curve_errors(
     curves: Iterable[FrictionCurve], truth: Truth, min_speed: float
 ) -> Iterator[Array]:
-    """Errors of each joint's friction curve against true friction, at its nodes.
+    """Yield the errors of each joint's friction curve at its nodes.
 
-    NaN at nodes with speeds up to `min_speed` [rad/s or m/s].
+    Errors at nodes with speeds up to `min_speed` [rad/s or m/s] are NaN.
     """
     for j, curve in enumerate(curves):
         friction = [
@@ -457,9 +464,9 @@ def _curve_errors(
 
 
 def true_friction(truth: Truth, joint: int, speed: float) -> float:
-    """True friction of a joint at a speed [N m or N], by a local linear fit.
+    """True friction of a joint at a speed, from a local linear fit [N m or N].
 
-    NaN with too few samples near the speed.
+    The result is NaN if there are too few samples near the speed.
 
     Args:
         truth: Simulated velocities and friction.
@@ -479,7 +486,7 @@ def true_friction(truth: Truth, joint: int, speed: float) -> float:
 def _combined_metrics(
     tree: Tree, experiment: Experiment, findings: DriveIdentification
 ) -> dict[str, float]:
-    """Errors of the base parameters from plate and torques together, by metric."""
+    """Error metrics of the base parameters estimated from plate and torques together."""
     zeros, combined = experiment.identification.zeros, findings.combined
     truth = minimal_set(tree, "wrench", zeros=zeros).values(barycentric(tree))
     is_uncertain = combined.sigma > 0  # known parameters have no z

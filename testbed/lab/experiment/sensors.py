@@ -24,23 +24,23 @@ class Sensor(Value):
     @property
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Instrument` for this sensor, without its errors."""
+        """Keyword arguments that describe this sensor to `Instrument`, without its errors."""
 
 
 @dataclass(frozen=True)
 class ForcePlate(Sensor):
-    """Six-axis force plate under the robot, or force sensor in it; perfect by default.
+    """Six-axis force plate under the robot, or six-axis force sensor in the robot.
 
-    It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, bedplate
-    axes, moment about the bedplate's origin.
+    It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, along the
+    bedplate's axes, with the moment about the bedplate's origin. By default it is perfect.
 
     Attributes:
         noise: Standard deviations of forces [N] and moments [N m].
-        errors: Further errors in order, such as `PlateBias()` or `PlatePose()`
+        errors: Further errors, applied in this order, such as `PlateBias()` or `PlatePose()`
             (docs/instruments.md).
         full_scale: Largest magnitudes of Fx, Fy, Fz [N], Mx, My, Mz [N m].
-        model: Name of a commercial plate, such as "ati-axia80-m20", for noise and range that are
-            not given.
+        model: Name of a commercial plate, such as "ati-axia80-m20", whose noise and range replace
+            those that are not given.
         mounting: Position of a force sensor in the robot; None for the plate under it.
     """
 
@@ -58,7 +58,7 @@ class ForcePlate(Sensor):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Instrument` for this sensor, without its errors."""
+        """Keyword arguments that describe this sensor to `Instrument`, without its errors."""
         force, moment = self.noise
         return {
             "plate": self.model,
@@ -74,8 +74,9 @@ class JointTorques(Sensor):
 
     Attributes:
         noise: Standard deviation [N m or N].
-        gains: Reported over true torque by joint, such as {"waist": 1.08}; 1 for all others.
-        errors: Further errors in order, such as `TorqueOffset()` (docs/instruments.md).
+        gains: Ratio of reported to true torque by joint, such as {"waist": 1.08}; default 1.
+        errors: Further errors, applied in this order, such as `TorqueOffset()`
+            (docs/instruments.md).
     """
 
     noise: float = 0.0
@@ -84,7 +85,7 @@ class JointTorques(Sensor):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Instrument` for this sensor, without its errors."""
+        """Keyword arguments that describe this sensor to `Instrument`, without its errors."""
         errors = {joint: gain - 1 for joint, gain in self.gains.items()}
         return {"torque_noise": self.noise, "torque_constant_error": errors}
 
@@ -94,10 +95,11 @@ class Encoders(Sensor):
     """Joint positions, (M, n) [rad or m]; perfect by default.
 
     Attributes:
-        resolution: Smallest count; 0 for none [rad or m].
+        resolution: Size of the least count [rad or m]; 0 for continuous positions.
         noise: Standard deviation [rad or m].
-        kinematics: Measure velocities and accelerations exactly, too.
-        errors: Further errors in order, such as `EncoderEccentricity()` (docs/instruments.md).
+        kinematics: True to measure velocities and accelerations exactly, too.
+        errors: Further errors, applied in this order, such as `EncoderEccentricity()`
+            (docs/instruments.md).
     """
 
     resolution: float = 0.0
@@ -107,7 +109,7 @@ class Encoders(Sensor):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Instrument` for this sensor, without its errors."""
+        """Keyword arguments that describe this sensor to `Instrument`, without its errors."""
         return {
             "encoder_resolution": self.resolution,
             "encoder_noise": self.noise,
@@ -116,7 +118,7 @@ class Encoders(Sensor):
 
 
 def sensors_of(instrument: Instrument) -> tuple[Sensor, ...]:
-    """Encoders, joint torques and force plate of the table [measurement], with their errors.
+    """Encoders, joint torques and force plate described by the table [measurement].
 
     Args:
         instrument: The table.

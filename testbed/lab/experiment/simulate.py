@@ -38,7 +38,7 @@ from testbed.lab.simulation.rollout import (
 
 @runtime_checkable
 class RestToRestReference(ReferenceMotion, Protocol):
-    """Motion from rest to rest, with a periodic part that begins at time zero."""
+    """Motion that begins and ends at rest, with a periodic part from time zero."""
 
     @property
     def lead(self) -> float:
@@ -51,7 +51,7 @@ class RestToRestReference(ReferenceMotion, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SampledMotion:
-    """Motion through given samples, by quintic splines; at rest before and after.
+    """Quintic spline through the samples of a motion, at rest before and after.
 
     Attributes:
         samples: Times from zero, (M,) [s], and positions, (M, n) [rad or m]; at least six samples.
@@ -72,7 +72,7 @@ class SampledMotion:
     def at(self, t: Array) -> Motion:
         """Positions, velocities and accelerations at times t, (M,) [s].
 
-        Before and after the motion: the first or last position, at rest.
+        Before and after the motion, the first and the last position are held.
         """
         is_moving = (t >= 0) & (t <= self.period)
         rates = [
@@ -82,7 +82,7 @@ class SampledMotion:
         return Motion(t, self._spline(self.path_time(t)), *rates)
 
     def path_time(self, t: Array) -> Array:
-        """Times t limited to the duration of the motion, (M,) [s]."""
+        """Times t clipped to the duration of the motion, (M,) [s]."""
         return np.clip(t, 0.0, self.period)
 
 
@@ -101,21 +101,22 @@ def simulate(
 
     Args:
         rig: Robot, plant and sensors.
-        motion: Periodic motion of `random_motion` or `design`, motion from rest to rest, or samples
-            `Motion(t, q, qd, qdd)`, whose positions are used.
-        seconds: Length of the recording [s]; motions from rest to rest and samples have their own.
+        motion: Periodic motion from `random_motion` or `design`, a motion from rest to rest, or
+            samples `Motion(t, q, qd, qdd)`, of which the positions are used.
+        seconds: Length of the recording [s]; motions from rest to rest and samples define their
+            own.
         seed: Seed of all noise.
-        progress: Called with the number of samples done and in all.
+        progress: Called with the number of finished samples and of all samples.
         watch: Called with the simulated states about once a second of simulation.
-        forces: Forces on the joints besides motors, friction and the plant's, called before every
-            step.
+        forces: Function for joint forces in addition to motors, friction and the plant's effects,
+            called before every step.
         installed: Seed of the constant signs and phases of sensor errors; default `seed`.
 
     Returns:
-        Measured signals; `truth` holds the simulated states, which no estimator reads.
+        Measured signals. `truth` holds the simulated states, which no estimator uses.
 
     Raises:
-        ModelError: The robot has no model file, or MuJoCo's model of it differs.
+        ModelError: The robot has no model file, or MuJoCo's model of the robot differs from it.
         SettingsError: Values do not fit each other or the robot.
         SimulationDiverged: The robot did not follow the motion.
     """
@@ -157,9 +158,9 @@ def simulate(
 def _reference_motion(
     rig: Rig, motion: ReferenceMotion | Motion, seconds: float
 ) -> tuple[ReferenceMotion, float, float]:
-    """Reference of the controller, and start and end of the recording [s].
+    """Reference of the controller, and the times at which the recording starts and ends [s].
 
-    A motion from rest to rest has its own start and end; samples end at their last time or at
+    A motion from rest to rest defines its own start and end. Samples end at their last time or at
     `seconds`, whichever is earlier.
 
     Raises:
@@ -185,7 +186,10 @@ def _reference_motion(
 def _total_forces(
     rig: Rig, tree: Tree, caller_forces: ForceFunction | None
 ) -> ForceFunction | None:
-    """Sum of joint forces by effects and by a caller's function; None for no forces."""
+    """Function for the sum of the effects' joint forces and a caller's joint forces.
+
+    The result is None if there are no forces.
+    """
     effect_forces = [effect.force_function(tree, rig.step) for effect in rig.plant]
     functions = [each for each in (*effect_forces, caller_forces) if each is not None]
     if not functions:
@@ -198,10 +202,10 @@ def _total_forces(
 
 
 def _gear_friction(rig: Rig, tree: Tree) -> Gears | None:
-    """Gear friction that is solved with the motion; None without such an effect.
+    """Gear friction that is solved together with the motion; None without such an effect.
 
     Raises:
-        ExperimentError: Two effects replace the joints' own friction, or joints are coupled.
+        ExperimentError: Two effects replace the friction of the joints, or joints are coupled.
     """
     owners = [effect.kind for effect in rig.plant if effect.owns_friction]
     if len(owners) > 1:
@@ -228,9 +232,10 @@ def _measured_recording(
     seed: int,
     installed: int | None,
 ) -> Recording:
-    """Recording by the rig's sensors of a simulated motion.
+    """Recording of a simulated motion by the rig's sensors.
 
-    Contains the temperature if an effect models it, and no torque or wrench without such a sensor.
+    It contains the temperature if an effect models it. Torque and wrench are absent without a
+    sensor for them.
 
     Args:
         rig: Robot, plant and sensors.
@@ -267,8 +272,9 @@ def _measured_recording(
 def _recording_metadata(rig: Rig, tree: Tree, rollout: Rollout, seed: int) -> Metadata:
     """Metadata of a simulated recording.
 
-    Robot, gravity, geometry, hash of the model file, force sensors' placements, seed, versions, rms
-    tracking errors, and a diagnostic for each joint at its torque limit.
+    It contains the robot, gravity, geometry, hash of the model file, placements of the force
+    sensors, seed, versions, rms tracking errors, and a diagnostic for each joint that reached its
+    torque limit.
     """
     saturated = (
         make_diagnostic("motion.saturated", name, share)

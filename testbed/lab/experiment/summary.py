@@ -22,7 +22,7 @@ SIGNAL_NAMES = {"wrench": "base wrench", "torque": "rigid-body torques"}
 
 
 def summary(run: Run) -> list[str]:
-    """Sentences on a run: prediction and parameter errors, data, number of warnings.
+    """Sentences on prediction errors, parameter errors, data and warnings of a run.
 
     Args:
         run: Run with or without estimates.
@@ -47,10 +47,10 @@ def accuracy_lines(run: Run) -> list[str]:
 
 
 def headline(run: Run) -> str:
-    """First sentences of a summary: prediction errors by force plate and by joint torques.
+    """First sentences of a summary: prediction errors from force plate and joint torques.
 
-    For a recording without known truth, or with posteriors, the verdict on its estimates and the
-    parameters it determines instead.
+    For a recording without known truth, or with posteriors, they are instead the verdict on its
+    estimates and the parameters that it determines.
 
     Args:
         run: Run with or without estimates.
@@ -89,7 +89,7 @@ def headline(run: Run) -> str:
 
 
 def _prediction_errors(run: Run) -> list[str]:
-    """Phrases with the prediction errors by each method, one phrase per signal."""
+    """Phrases with the prediction errors of each method, one phrase per signal."""
     is_part = run.tree.is_part  # joint torques then carry more bodies than the sensor
     errors: dict[str, list[str]] = {}
     for name, signal in (
@@ -123,9 +123,9 @@ def torque_constant_remark(run: Run) -> str:
 
 
 def _parameter_errors(run: Run) -> list[str]:
-    """Sentence with median and largest errors of the base parameters by method.
+    """Sentence with the median and largest error of the base parameters, by method.
 
-    Empty without known truth.
+    The list is empty without known truth.
     """
     if run.score is None:
         return []
@@ -149,11 +149,11 @@ def _parameter_errors(run: Run) -> list[str]:
 def determined_parameter_lines(
     posteriors: Iterable[Posterior], *, without_reservations: bool
 ) -> Iterator[str]:
-    """Yield a sentence on the parameters that a recording determines, for each method.
+    """Yield a sentence per method on the parameters that a recording determines.
 
     Args:
         posteriors: Estimates with the model file as prior, one per method.
-        without_reservations: True if the verdict has no reservations.
+        without_reservations: True if the verdict contains no reservations.
     """
     by = "By" if without_reservations else "With these reservations, by"
     for each in posteriors:
@@ -173,8 +173,8 @@ def determined_parameter_lines(
 def _validation_residuals(run: Run) -> list[str]:
     """Sentence with the residuals of the validation recording relative to its signals.
 
-    Residuals contain the sensor noise; each is followed by its expected value. Empty without
-    validation.
+    Residuals contain the sensor noise; each is followed by its expected value. The list is empty
+    without validation.
     """
     phrases = []
     for method, validation in run.validation.items():
@@ -197,14 +197,14 @@ def _validation_residuals(run: Run) -> list[str]:
 
 
 def _recording_size(run: Run) -> str:
-    """Length, sampling rate and robot of the recording."""
+    """Sentence with length, sampling rate and robot of the recording."""
     recording = run.recording
     length = float(recording.time[-1] - recording.time[0])
     return f"{length:.3g} s at {recording.rate:.4g} Hz of {run.tree.name}"
 
 
 def claim_verdict(run: Run) -> str:
-    """Verdict on the claim with reasons of failure; "" for a run without claims.
+    """Verdict on the claim, with the reasons if it fails; "" without claims.
 
     Args:
         run: Run of an experiment.
@@ -224,17 +224,17 @@ def claim_verdict(run: Run) -> str:
 
 
 def _warning_count(run: Run) -> list[str]:
-    """Sentence with the number of warnings; empty without warnings."""
+    """Sentence with the number of warnings; an empty list without warnings."""
     count = len(sentences(run.diagnostics))
     verb = "is" if count == 1 else "are"
     return [f"There {verb} {count_with_noun(count, 'warning')}."] if count else []
 
 
 def metric_text(run: Run, metric: str) -> str:
-    """Text of a metric with three digits; "not there" if the run lacks it."""
+    """Text of a metric with three digits; "not there" if it is missing."""
     return f"{run.metrics[metric]:.3g}" if metric in run.metrics else "not there"
 
 
 def percent_text(share: float) -> str:
-    """Text of a share in percent with two digits, such as 0.03 % or 160 %."""
+    """Text of a fraction in percent with two digits, such as 0.03 % or 160 %."""
     return f"{round_significant(100 * share, 2):g} %"

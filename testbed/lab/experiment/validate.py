@@ -15,15 +15,15 @@ from testbed.core.recordings.recording import Recording
 def validate(
     estimate: Estimate, data: Recording | str | Path, settings: Settings | None = None
 ) -> Validation:
-    """Validate an estimate on a recording that was not used for it.
+    """Validate an estimate on a recording that was not used to make it.
 
     Args:
-        estimate: Estimate of `identify`.
+        estimate: Estimate returned by `identify`.
         data: Another recording of the same robot and sensors.
-        settings: Filters of the recording's signals; default those of the estimate.
+        settings: Filters applied to the recording's signals; default those of the estimate.
 
     Returns:
-        Residuals of the recording channel by channel, and their expected size.
+        Residuals on the recording for each channel, and their expected size.
 
     Raises:
         RecordingError: The recording cannot be used for the estimate's signal.

@@ -50,23 +50,24 @@ _TARE_USE = "tare"
 class Instrument:
     """Sampling and sensor errors of a simulated measurement: the table [measurement].
 
-    By default there are no errors.
+    By default, measurements are exact.
 
     Attributes:
         rate: Sampling rate, also the controller's rate [Hz].
-        averaged: Each sample is the mean over its integration steps, else its first instant.
-        senses_kinematics: Velocities and accelerations are sensed exactly.
-        encoder_resolution: Least count of the encoders; 0 for none [rad or m].
+        averaged: True if a sample is the mean over its integration steps, False if it is the value
+            at its first instant.
+        senses_kinematics: True if velocities and accelerations are measured exactly, too.
+        encoder_resolution: Least count of the encoders [rad or m]; 0 for continuous positions.
         encoder_noise: Standard deviation of position noise [rad or m].
         torque_noise: Standard deviation of the reported motor torque [N m or N].
-        torque_constant_error: Relative error of the drives' torque constants by joint
-            name: 0.08 reports 8 % too much.
-        plate: Model of the plate, for noise and range where these have default values.
+        torque_constant_error: Relative error of the drives' torque constants, keyed by joint; with
+            0.08, the reported torque is 8 % too large.
+        plate: Name of a plate model, whose noise and range replace default values of these.
         force_noise: Standard deviation of the plate's forces [N].
         moment_noise: Standard deviation of the plate's moments [N m].
-        full_scale: Largest values of the plate's channels [N, N m]. Crosstalk and converters are
-            relative to them; only a converter limits the signal to them.
-        fault: Further sensor errors, `[[measurement.fault]]`.
+        full_scale: Largest values of the plate's channels [N, N m]. Errors by crosstalk and
+            converters are relative to them; only a converter limits the signal to them.
+        fault: Further sensor errors, from `[[measurement.fault]]`.
     """
 
     rate: float = 1000.0
@@ -107,10 +108,10 @@ class Instrument:
             )
 
     def _apply_plate_model(self, plate: str) -> None:
-        """Set force noise, moment noise and full scale, where at default, to a plate model's.
+        """Replace default force noise, moment noise and full scale by a plate model's values.
 
         Raises:
-            SettingsError: The name of the plate model is unknown.
+            SettingsError: There is no plate model of this name.
         """
         if plate not in PLATE_MODELS:
             raise SettingsError(str(UnknownName("plate", plate, PLATE_MODELS)))
@@ -120,22 +121,22 @@ class Instrument:
 
     @property
     def plate_noise(self) -> Array:
-        """Standard deviation of the plate's channels, (6,) [N, N m]."""
+        """Noise standard deviations of the plate's channels, (6,) [N, N m]."""
         return np.repeat([self.force_noise, self.moment_noise], 3)
 
     def error_stages(
         self, names: tuple[str, ...]
     ) -> dict[Signal, tuple[SensorError, ...]]:
-        """Sensor errors of each signal, sorted by stage, then in the order of the file.
+        """Sensor errors of each signal, sorted by stage, then by order in the file.
 
         Args:
             names: Joint names.
 
         Returns:
-            Chain of errors by signal: "position", "torque", "wrench", "tare"; empty for no errors.
+            Errors keyed by signal, "position", "torque", "wrench" and "tare"; empty for no errors.
 
         Raises:
-            SettingsError: An error is for an unknown joint, or values of some joints are missing.
+            SettingsError: An error refers to an unknown joint, or lacks values for some joints.
         """
         errors = tuple(self.torque_constant_error.get(name, 0.0) for name in names)
         always: tuple[SensorError, ...] = (
@@ -156,7 +157,7 @@ class Instrument:
     def sampled_stages(
         self, names: tuple[str, ...], seed: int, sensor: str = ""
     ) -> dict[Signal, tuple[SensorError, ...]]:
-        """Sensor errors of each signal, with random signs, phases and crosstalk drawn.
+        """Sensor errors of each signal, with their signs, phases and crosstalk drawn at random.
 
         Args:
             names: Joint names.
@@ -185,20 +186,20 @@ def measure(
     seed: int,
     installed: int | None = None,
 ) -> Recording:
-    """Simulated recording: true signals with the instrument's errors.
+    """Apply an instrument's sensor errors to true signals, and return the recording.
 
-    Positions, torques and wrench pass their chains of errors; the tare is exact unless the
+    The chains of errors are applied to positions, torques and wrench. The tare is exact unless the
     instrument measures it.
 
     Args:
-        instrument: Sensor errors; its rate is used for a measured tare only.
+        instrument: Sensor errors; its rate is used only for a measured tare.
         names: Joint names.
         time: Times of the samples, (M,) [s].
         truth: True signals.
         tare: True static wrench of the pedestal, (6,) [N, N m].
         metadata: Metadata of the recording.
         seed: Seed of the noise.
-        installed: Seed of signs, phases and crosstalk, which are drawn once; default `seed`.
+        installed: Seed of the signs, phases and crosstalk of the sensors; default `seed`.
     """
     has_kinematics = instrument.senses_kinematics
     exact = Recording(
@@ -236,13 +237,13 @@ def with_sensor_readings(
     seed: int,
     installed: int | None = None,
 ) -> Recording:
-    """Simulated recording with the readings of force sensors in the robot added.
+    """Simulated recording, completed by the readings of force sensors in the robot.
 
     Args:
-        recording: Recording whose true signals have the wrenches of the sensors, in this order.
-        instruments: Instruments by sensor name; their plate errors apply to the sensor.
+        recording: Recording whose true signals contain the wrenches of the sensors, in this order.
+        instruments: Instruments keyed by sensor name; their plate errors are those of the sensor.
         seed: Seed of the noise.
-        installed: Seed of signs, phases and crosstalk, which are drawn once; default `seed`.
+        installed: Seed of the signs, phases and crosstalk of the sensors; default `seed`.
 
     Raises:
         RecordingError: The recording has no true wrenches of the sensors.
@@ -267,16 +268,16 @@ def with_sensor_readings(
 
 
 def remeasured(recording: Recording, instrument: Instrument, seed: int) -> Recording:
-    """Recording of a simulated run by another instrument, without a new simulation.
+    """Recording of a simulated run with another instrument, without a new simulation.
 
     Args:
-        recording: Recording with true signals and the exact tare (no measured tare). Its samples
-            must be means if those of the other instrument are.
-        instrument: The other instrument, of the same rate.
+        recording: Recording with true signals and an exact tare. Its samples must be means if those
+            of the other instrument are.
+        instrument: The other instrument, with the same sampling rate.
         seed: Seed of the noise.
 
     Raises:
-        RecordingError: The recording has no true signals or no tare, or another rate.
+        RecordingError: The recording has no true signals, no tare, or another sampling rate.
     """
     if recording.truth is None or recording.tare is None:
         raise RecordingError(

@@ -18,13 +18,15 @@ _FIXED_STREAMS = {"encoder_noise": 0, "torque_noise": 1, "plate_noise": 2}
 def random_stream(
     kind: str, seed: int, number: int = 0, use: str = ""
 ) -> np.random.Generator:
-    """Random generator of a sensor error, independent for each combination of the arguments.
+    """Random generator of a sensor error.
+
+    Generators for different arguments are independent.
 
     Args:
         kind: Kind of the error.
         seed: Seed of the recording.
-        number: Number of the error among the errors of the same kind in its chain.
-        use: Purpose of the numbers; "" for the noise of a recording.
+        number: Index of the error among the errors of the same kind in its chain.
+        use: Purpose of the random numbers; "" for the noise of a recording.
     """
 
     def code(word: str) -> int:
@@ -37,7 +39,7 @@ def random_stream(
 
 
 def numbered_errors(chain: Iterable[SensorError]) -> Iterator[tuple[SensorError, int]]:
-    """Yield sensor errors, each with its number among the errors of its kind, from 0."""
+    """Yield each sensor error with its index among the errors of its kind, from 0."""
     counts: Counter[str] = Counter()
     for error in chain:
         yield error, counts[error.kind]
@@ -47,14 +49,14 @@ def numbered_errors(chain: Iterable[SensorError]) -> Iterator[tuple[SensorError,
 def apply_chain(
     chain: Iterable[SensorError], signal: Array, time: Array, seed: int, use: str = ""
 ) -> Array:
-    """Apply a chain of sensor errors to a signal, in order.
+    """Apply a chain of sensor errors to a signal, in the order of the chain.
 
     Args:
         chain: The sensor errors.
         signal: Signal without errors, (M, k).
         time: Times of the samples, (M,) [s].
         seed: Seed of the recording.
-        use: Purpose of the measurement if it is no signal of the recording; selects other noise.
+        use: Purpose of a measurement that is not part of the recording; it selects other noise.
     """
     for error, number in numbered_errors(chain):
         signal = error.apply(signal, time, random_stream(error.kind, seed, number, use))

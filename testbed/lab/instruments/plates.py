@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PlateModel:
-    """Noise and range of a model of force plate or wrist sensor.
+    """Noise and range of a commercial force plate or wrist sensor.
 
     Attributes:
         force_noise: Standard deviation of the measured forces [N].
         moment_noise: Standard deviation of the measured moments [N m].
         full_scale: Largest values of the channels [N, N m].
-        source: Source of the numbers.
+        source: Source of these values.
     """
 
     force_noise: float

@@ -54,7 +54,7 @@ class Payload(Effect):
         return Inertia.about_centre(self.mass, centre, np.diag(moments))
 
     def robot_with_effect(self, tree: Tree) -> Tree:
-        """Robot with the payload added to the link.
+        """Robot with the payload added to the carrying link.
 
         Raises:
             SettingsError: The robot has no such joint.
@@ -66,7 +66,7 @@ class Payload(Effect):
         return tree.with_inertia(self._link_index(tree), self.body)
 
     def add_to_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Add the payload to MuJoCo's model as a body welded to the link."""
+        """Add the payload to MuJoCo's model as a body welded to the carrying link."""
         link = self._link_index(tree)
         body = spec.joint(prefix + tree.names[link]).parent
         centre, moments = (np.broadcast_to(v, 3) for v in (self.centre, self.inertia))
@@ -74,17 +74,18 @@ class Payload(Effect):
         _weld(spec, body, "testbed/payload", tree, link, X_LC, self.mass, moments)
 
     def _link_index(self, tree: Tree) -> int:
-        """Index of the joint that moves the link."""
+        """Index of the joint that moves the carrying link."""
         return tree.index(self.joint) if self.joint else tree.n - 1
 
 
 @dataclass(frozen=True, eq=False)
 class GearedRotor(Effect):
-    """Motor rotor carried by the previous link, turning `ratio` times faster than its joint.
+    """Motor rotor on the previous link that turns `ratio` times as fast as its joint.
 
-    Its angular momentum adds ratio inertia d(qd e)/dt to the base wrench, like an inertia about the
-    axis e of size ratio times inertia, added to the joint's body and removed from the carrying
-    link. The model file's rotor inertia is kept in addition. Revolute joints only.
+    Its angular momentum adds `ratio * inertia * d(qd e)/dt` to the base wrench, where e is the
+    joint axis. This equals the effect of an inertia `ratio * inertia` about e that is added to the
+    joint's body and removed from the carrying link. The rotor inertia in the model file is kept in
+    addition. The joint must be revolute.
 
     Source    [AKB86]: a PUMA's waist, 1.14 kg m^2 at the joint by a ratio of 62.6.
 
@@ -98,13 +99,14 @@ class GearedRotor(Effect):
     ratio: PerJoint = 60.0
 
     def robot_with_effect(self, tree: Tree) -> Tree:
-        """Robot with rotor inertias added to the carrying links and to the joints.
+        """Robot with the rotor inertias added to the carrying links and to the joints.
 
-        The carrying link has the inertia of the rotor at rest, for a rotor with half its inertia
-        across its axis; the joint's rotor inertia grows by ratio^2 times the inertia.
+        The carrying link receives the inertia of the rotor at rest; the inertia about the
+        transverse axes is half of that about the rotor's axis. The joint's rotor inertia increases
+        by ratio^2 times the inertia.
 
         Raises:
-            SettingsError: A joint with a rotor is prismatic.
+            SettingsError: A joint that has such a rotor is prismatic.
         """
         for joint, inertia, ratio in self._rotors(tree):
             if not tree.joints[joint].revolute:
@@ -122,9 +124,10 @@ class GearedRotor(Effect):
         return tree
 
     def add_to_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Add the rotors to MuJoCo's model, as massless bodies welded to the carrying links.
+        """Add the rotors to MuJoCo's model as massless bodies welded to the carrying links.
 
-        The armature of the joints is set to the rotor inertias of `tree`, spin included.
+        The armatures of the joints are set to the rotor inertias of `tree`, including the rotors'
+        spin.
         """
         for joint, inertia, _ in self._rotors(tree):
             tree_joint = tree.joints[joint]
@@ -144,9 +147,9 @@ class GearedRotor(Effect):
             hinge.armature = tree_joint.rotor_inertia
 
     def change_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Let the rotors turn, by hinges coupled to the joints by the gear ratio.
+        """Connect the rotors by hinges, coupled to the joints with the gear ratio.
 
-        The inertia of the spin is removed from the joint's armature again.
+        The inertia of the rotors' spin is subtracted again from the armatures of the joints.
         """
         step = spec.option.timestep
         for joint, inertia, ratio in self._rotors(tree):
@@ -163,7 +166,10 @@ class GearedRotor(Effect):
             gear.solref, gear.solimp = [2 * step, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
 
     def _rotors(self, tree: Tree) -> Iterator[tuple[int, float, float]]:
-        """Yield joint index, inertia [kg m^2] and gear ratio of each rotor with neither zero."""
+        """Yield joint index, inertia [kg m^2] and gear ratio of each rotor.
+
+        Rotors with zero inertia or zero ratio are skipped.
+        """
         sizes, ratios = (
             np.broadcast_to(joint_array(value), tree.n)
             for value in (self.inertia, self.ratio)
@@ -195,8 +201,9 @@ def _weld(
         parent: Existing body.
         name: Name of the new body.
         tree: The robot.
-        link: Index of the joint whose body frame is L; poses hold with all joints at zero.
-        X_LC: Pose in L of the frame C: principal axes at the centre of mass.
+        link: Index of the joint whose body frame is L; poses are those with all joints at zero.
+        X_LC: Pose in L of the frame C, which has its origin at the centre of mass and its axes
+            along the principal axes.
         mass: Mass of the new body [kg].
         moments: Principal moments of inertia of the new body, (3,) [kg m^2].
     """
@@ -220,15 +227,16 @@ _PLATE_JOINTS = tuple(f"testbed/plate/{kind}{axis}" for kind in "tr" for axis in
 
 @dataclass(frozen=True, eq=False)
 class CompliantPlate(Effect):
-    """Bedplate on six springs: three in translation, three in rotation about its origin.
+    """Bedplate on three translational and three rotational springs about its origin.
 
-    Stiffness follows from the natural frequency, for the robot with all its joints at zero.
+    The stiffness of each spring follows from its natural frequency, for the robot with all joints
+    at zero.
 
     Source    Our own choice: plates with strain gauges under robots of 60 kg, 60 to 200 Hz.
 
     Attributes:
         frequency: Natural frequency of each spring with the robot on the plate [Hz].
-        damping: Damping of each spring, as a ratio to critical damping.
+        damping: Damping ratio of each spring, relative to critical damping.
     """
 
     kind: ClassVar[str] = "compliant_plate"
@@ -239,7 +247,7 @@ class CompliantPlate(Effect):
         """Add six joints with springs and dampers between world and bedplate.
 
         Raises:
-            SettingsError: The model has these joints already.
+            SettingsError: The model already has these joints.
         """
         del prefix
         if any(joint.name == _PLATE_JOINTS[0] for joint in spec.joints):
@@ -267,13 +275,13 @@ class CompliantPlate(Effect):
 
 @dataclass(frozen=True, eq=False)
 class Tilt(Effect):
-    """Tilted bedplate: the direction of gravity differs from the recorded one.
+    """Tilt of the bedplate: gravity differs in direction from the recorded gravity.
 
     Source    Our own choice: 0.2 degrees, a spirit level's.
 
     Attributes:
         angle: Angle between gravity and the z axis [rad].
-        direction: Direction of the horizontal axis of rotation, measured from the x axis [rad].
+        direction: Direction of the horizontal rotation axis, measured from the x axis [rad].
     """
 
     kind: ClassVar[str] = "tilt"
@@ -288,9 +296,9 @@ class Tilt(Effect):
 
 
 def _plate_inertias(spec: mujoco.MjSpec) -> Array:
-    """Effective inertia of each bedplate joint, all joints at zero, (6,) [kg, kg m^2].
+    """Effective inertia of each bedplate joint with all joints at zero, (6,) [kg, kg m^2].
 
-    Diagonal of MuJoCo's mass matrix.
+    This is the diagonal of MuJoCo's mass matrix.
     """
     model, data = _zero_state(spec)
     matrix = np.zeros((model.nv, model.nv))
@@ -301,7 +309,7 @@ def _plate_inertias(spec: mujoco.MjSpec) -> Array:
 
 
 def _zero_state(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Compiled model and the state with all joints at zero."""
+    """Compiled model, and the state with all joints at zero."""
     with suppress_mujoco_warnings():
         model = spec.compile()
     data = mujoco.MjData(model)

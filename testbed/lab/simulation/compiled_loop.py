@@ -26,9 +26,10 @@ sample: a slower joint may reverse."""
 
 
 class Engine(NamedTuple):
-    """Addresses of MuJoCo's functions and structures, and of the callback for forces.
+    """Addresses of MuJoCo's functions and structures, and of the force callback.
 
-    `force_callback` applies forces to the joints; 0 for none.
+    The function at `force_callback` applies forces to the joints; the address is 0 if there is
+    none.
     """
 
     runge_kutta: int
@@ -43,7 +44,8 @@ class Engine(NamedTuple):
 class State(NamedTuple):
     """Views of MuJoCo's state arrays, with joint indices and a buffer.
 
-    Arrays are by MuJoCo's velocities, (nv,), except `motor`, by joint, and `sensor_data`.
+    Arrays have one element per MuJoCo velocity, (nv,), except `motor`, with one per joint, and
+    `sensor_data`.
     """
 
     position: Array
@@ -71,7 +73,7 @@ class Clock(NamedTuple):
 class Log(NamedTuple):
     """Logged signals, one row per sample.
 
-    Torque, velocity and acceleration are by joint, losses by MuJoCo's velocities.
+    Torques, velocities and accelerations have one column per joint, losses one per MuJoCo velocity.
     """
 
     torque: Array
@@ -82,7 +84,7 @@ class Log(NamedTuple):
 
 
 def mujoco_functions() -> dict[str, int]:
-    """Addresses of the MuJoCo functions that the loop calls, by field name of `Engine`."""
+    """Addresses of the MuJoCo functions that the loop calls, keyed by field of `Engine`."""
     library = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco.*"))))
     functions = {
         "runge_kutta": library.mj_RungeKutta,
@@ -105,19 +107,20 @@ def simulate_samples(
     first: int,
     stopped: NDArray[np.bool_],
 ) -> None:
-    """Simulate the plant under computed torque for as many samples as the log has rows.
+    """Simulate the plant under computed torque, one sample per row of the log.
 
-    The torque is held over a sample. Means over a sample are by the trapezoidal rule. If all joints
-    with dry friction slip, the sample has `smooth_steps` longer steps, and means by Simpson's rule:
-    the middle of a step is then interpolated from positions and velocities at its ends. Returns
-    early if the force callback has failed.
+    The motor torque is constant over a sample. Means over a sample are computed by the trapezoidal
+    rule. If all joints with dry friction slip, the sample is divided into `smooth_steps` longer
+    steps, and means are computed by Simpson's rule, with the middle of a step interpolated from
+    positions and velocities at its ends. The function returns early if the force callback has
+    failed.
 
     Args:
         engine: Addresses of MuJoCo's functions and structures.
-        state: State of the plant with derived values: at the first instant, on return at the last.
+        state: State of the plant with derived values, at the first instant; on return, at the last.
         drive: The controller.
         clock: Division of a sample into steps.
-        log: Signals, filled on return; sums must begin with zero.
+        log: Signals, filled on return; sums must be zero initially.
         first: Number of the first sample.
         stopped: True if the force callback has failed, (1,).
     """
@@ -192,10 +195,10 @@ def motor_torque(
     order: NDArray[np.int64],
     torque: Array,
 ) -> None:
-    """Set the motor torques for a sample: computed torque, limited to the effort; compiled.
+    """Set the motor torques of a sample: computed torque, limited to the maximum effort.
 
-    Feedforward + M (w^2 e + 2 `DAMPING` w de/dt), with mass matrix M, bandwidth w and position
-    error e.
+    The torque before limiting is feedforward + M (w^2 e + 2 `DAMPING` w de/dt), with the mass
+    matrix M, the bandwidth w and the position error e.
 
     Args:
         drive: The controller.
@@ -222,17 +225,18 @@ def motor_torque(
 
 @compiled_function
 def _copy(source: Array, target: Array) -> None:
-    """Copy an array element by element: slices would need code that the compiler lacks."""
+    """Copy an array element by element, since the compiler does not support slices."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
 @compiled_function
 def _has_smooth_forces(state: State, period: float) -> bool:
-    """Test whether every joint with dry friction slips, without reversal within a sample.
+    """Test whether all joints with dry friction slip without reversal within a sample.
 
-    A joint slips if MuJoCo's constraint force equals dry friction within `SLIP_TOLERANCE`, and does
-    not reverse if its speed exceeds `MIN_SPEED_CHANGES` times its change over the sample.
+    A joint slips if MuJoCo's constraint force equals the dry friction within `SLIP_TOLERANCE`. It
+    does not reverse if its speed exceeds `MIN_SPEED_CHANGES` times the change of speed over the
+    sample.
 
     Args:
         state: State of the plant.
@@ -251,9 +255,9 @@ def _has_smooth_forces(state: State, period: float) -> bool:
 
 @compiled_function
 def _interpolate_midpoint(state: State, step: float) -> None:
-    """Set the state to the middle of a step, by Hermite's cubic between its ends.
+    """Set the state to the middle of a step by cubic Hermite interpolation.
 
-    `state.saved_state` holds the beginning of the step, on return its end.
+    `state.saved_state` contains the beginning of the step; on return, it contains the end.
     """
     for i in range(len(state.position)):
         q, v = state.saved_state[0, i], state.saved_state[1, i]
@@ -265,12 +269,12 @@ def _interpolate_midpoint(state: State, step: float) -> None:
 
 @compiled_function
 def _accumulate(state: State, sensor_data: Array, losses: Array, weight: float) -> None:
-    """Add weighted sensor data and force losses to the sums of a sample.
+    """Add weighted sensor data and force losses to the sums over a sample.
 
     Args:
         state: State of the plant.
-        sensor_data: Sum of the sensor data, changed.
-        losses: Sum of passive, constraint and applied forces, (nv,) [N m or N], changed.
+        sensor_data: Sum of the sensor data, updated.
+        losses: Sum of passive, constraint and applied forces, (nv,) [N m or N], updated.
         weight: Weight of this instant.
     """
     for i in range(len(sensor_data)):

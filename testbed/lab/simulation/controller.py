@@ -23,21 +23,21 @@ _SMOOTHING_SPEED = (
 
 
 class ReferenceMotion(Protocol):
-    """Reference motion of a drive: a closed path as a function of time."""
+    """Reference motion of the joint controller: a closed path as a function of time."""
 
     @property
     def period(self) -> float:
-        """Time in which the path closes at its nominal speed [s]."""
+        """Duration of one pass of the closed path at nominal speed [s]."""
 
     def at(self, t: Array) -> Motion:
         """Motion at times t, (M,) [s]; times 0 to one period cover the whole path."""
 
     def path_time(self, t: Array) -> Array:
-        """Path parameter at times t, (M,): time at nominal speed [s]."""
+        """Path parameter at times t: the corresponding time at nominal speed, (M,) [s]."""
 
 
 class Controller(NamedTuple):
-    """Sampled computed-torque controller, as arrays for compiled code.
+    """Sampled computed-torque controller, stored as arrays for compiled code.
 
     Attributes:
         times: Times of the samples, (T,) [s].
@@ -45,7 +45,7 @@ class Controller(NamedTuple):
         qd: Reference velocities, (T, n) [rad/s or m/s].
         feedforward: Feedforward torque of the reference, (T, n) [N m or N].
         inertia: Mass matrices of the a-priori model on a grid of postures, (grid, n, n).
-        mass_matrix_index: Index of the mass matrix of each sample, (T,).
+        mass_matrix_index: Index of the mass matrix to use at each sample, (T,).
         bandwidth: Bandwidth of the position loop [rad/s].
         effort: Torque limits of the motors, (n,) [N m or N].
     """
@@ -63,10 +63,11 @@ class Controller(NamedTuple):
 def computed_torque(
     tree: Tree, motion: ReferenceMotion, times: Array, bandwidth: float
 ) -> Controller:
-    """Computed-torque controller that follows a motion along a closed path.
+    """Computed-torque controller for a reference motion along a closed path.
 
-    Feedforward is inverse dynamics plus friction and rotors, dry friction smoothed over 0.05 rad/s.
-    Mass matrices, rotors included, are computed at 500 postures along the path.
+    The feedforward is the inverse dynamics plus friction and rotor torques, with dry friction
+    smoothed over 0.05 rad/s. Mass matrices, including rotors, are computed at 500 postures along
+    the path.
 
     Args:
         tree: A-priori model of the robot and its friction, used by the controller.
@@ -92,7 +93,7 @@ def computed_torque(
 
 
 def mass_matrices(tree: Tree, postures: Array) -> Array:
-    """Mass matrix M(q) at each posture, (k, n, n) [kg m^2, kg m, kg], without rotors.
+    """Mass matrix M(q) at each posture without rotors, (k, n, n) [kg m^2, kg m, kg].
 
     Args:
         tree: The robot.

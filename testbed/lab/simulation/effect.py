@@ -31,25 +31,25 @@ in the order of the tree; the forces are held over a step."""
 class Effect(KindTable):
     """Effect in the simulated plant that the estimator's model does not contain.
 
-    Methods of this base class have no effect; subclasses override those that apply.
+    The methods of this base class do nothing; subclasses override those that apply.
     """
 
     owns_friction: ClassVar[bool] = False
     """True if the effect replaces the joints' dry and viscous friction in the plant."""
 
     def for_joints(self, names: tuple[str, ...]) -> Self:
-        """Copy of the effect for given joints, with per-joint values in their order.
+        """Copy of the effect for given joints, with per-joint values in the joints' order.
 
         Args:
             names: Joint names.
 
         Raises:
-            SettingsError: A joint is unknown, or values of some joints are missing.
+            SettingsError: A joint is unknown, or values for some joints are missing.
         """
         return replace(self, **self.joint_values(names))
 
     def robot_with_effect(self, tree: Tree) -> Tree:
-        """Robot with the effect's true parameters added.
+        """Robot with the true parameters that the effect adds.
 
         Args:
             tree: The robot of the model file.
@@ -57,9 +57,9 @@ class Effect(KindTable):
         return tree
 
     def force_function(self, tree: Tree, step: float) -> ForceFunction | None:
-        """Function for the effect's forces on the joints, called before every step.
+        """Function for the joint forces of the effect, called before every step.
 
-        None if the effect applies no forces.
+        The result is None if the effect applies no forces.
 
         Args:
             tree: The robot, with its friction.
@@ -69,7 +69,10 @@ class Effect(KindTable):
         return None
 
     def true_coefficients(self, tree: Tree) -> Mapping[JointLaw, Array]:
-        """True coefficients of joint torque laws that the effect adds, by law, (n,) or ().
+        """True coefficients that the effect adds to joint torque laws.
+
+        They are keyed by law, each (n,) or (). A law is a term of the joint torque, such as Coulomb
+        friction.
 
         Args:
             tree: The robot, with its friction.
@@ -78,7 +81,9 @@ class Effect(KindTable):
         return {}
 
     def gear_friction(self, tree: Tree) -> Gears | None:
-        """Load-dependent gear friction, solved together with the acceleration; None for none.
+        """Load-dependent gear friction, solved together with the accelerations.
+
+        The result is None if the effect has no such friction.
 
         Args:
             tree: The robot, with its friction.
@@ -96,7 +101,7 @@ class Effect(KindTable):
         return None
 
     def add_to_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Add bodies and joints of the robot to MuJoCo's model, before its check.
+        """Add bodies and joints to MuJoCo's model before it is checked against the robot.
 
         Args:
             spec: MuJoCo's editable model of the robot on its plate.
@@ -105,7 +110,7 @@ class Effect(KindTable):
         """
 
     def change_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Change MuJoCo's model beyond the robot's tree, after its check.
+        """Change MuJoCo's model after its check, beyond what the robot's tree describes.
 
         Args:
             spec: MuJoCo's editable model of the robot on its plate.

@@ -36,7 +36,7 @@ def effect_from_table(table: object) -> Effect:
     """Build an effect from its table in an experiment file.
 
     Args:
-        table: `kind` and the keys of that kind; an effect is returned unchanged.
+        table: Table with `kind` and the keys of this kind; an `Effect` is returned unchanged.
 
     Raises:
         SettingsError: The kind or a key is unknown, or a value is not allowed.

@@ -22,11 +22,11 @@ CONVERGENCE_TOLERANCE = 1e-13
 
 
 class Gears(NamedTuple):
-    """Coefficients of load-dependent gear friction by joint, (n,) each.
+    """Coefficients of load-dependent gear friction for each joint, (n,) each.
 
-    With the torque T on the link, friction is sign(v) (coulomb (1 + (static - 1) exp(-(v /
-    speed)^2)) + loss abs(T)) + (viscous + viscous_load abs(T)) v. The loss is `driving` if T drives
-    the motion, and `driven` if the motion drives the gear back.
+    With the torque T on the link and the joint velocity v, friction is sign(v) (coulomb (1 +
+    (static - 1) exp(-(v / speed)^2)) + loss abs(T)) + (viscous + viscous_load abs(T)) v. The loss
+    is `driving` if T drives the motion, and `driven` if the motion drives the gear back.
     """
 
     coulomb: Array  # [N m or N]
@@ -49,11 +49,11 @@ def solve_friction(
     rotor: Array,
     friction: Array,
 ) -> None:
-    """Solve for the gear friction over a step, by Gauss-Seidel sweeps over the joints; compiled.
+    """Solve for the gear friction over a step by Gauss-Seidel sweeps over the joints.
 
-    The equation of a joint is linear for each sign of the load, except for viscous friction of the
-    load: its speed, in the middle of the step, is taken from the previous sweep. Sweeps end at
-    `CONVERGENCE_TOLERANCE` or `MAX_SWEEPS`.
+    The equation of a joint is linear for each sign of the load, except for the load-dependent
+    viscous friction. The speed in that term, at the middle of the step, is taken from the previous
+    sweep. The sweeps end at `CONVERGENCE_TOLERANCE` or after `MAX_SWEEPS`.
 
     Args:
         gears: Friction coefficients.
@@ -105,8 +105,8 @@ def _joint_friction(
 ) -> float:
     """Friction of a joint over a step, given the friction of the other joints [N m or N].
 
-    If dry friction and load loss can stop the joint within the step, or the gear is self-locking,
-    the friction that brings its velocity to zero.
+    The friction is the value that brings the joint to rest if dry friction and load loss can stop
+    the joint within the step, or if the gear is self-locking.
 
     Args:
         gears: Friction coefficients.

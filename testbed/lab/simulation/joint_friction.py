@@ -37,10 +37,13 @@ SIGN_SMOOTHING_SPEED = 0.01
 
 
 class LawFriction(Effect):
-    """Base class of friction by velocity laws: coefficients times smoothed columns."""
+    """Base class of friction effects that depend on velocity only.
+
+    The friction is the sum of coefficients times regressor columns, smoothed at velocity reversals.
+    """
 
     def force_function(self, tree: Tree, step: float) -> ForceFunction:
-        """Function for the forces of the friction laws: minus coefficient times smoothed column."""
+        """Function for the joint forces `-coefficient * column`, summed over the laws."""
         del step
         terms = self.true_coefficients(tree)
 
@@ -58,15 +61,16 @@ class LawFriction(Effect):
 
 @dataclass(frozen=True, eq=False)
 class Stribeck(LawFriction):
-    """Stribeck friction, higher at low speed: coefficient sign(v) exp(-(v / speed)^2).
+    """Stribeck friction, which is larger at low speed.
 
-    It is added to the joints' dry and viscous friction.
+    The torque is coefficient sign(v) exp(-(v / speed)^2), in addition to the joints' dry and
+    viscous friction.
 
     Source    Our own choice: half a PUMA's dry friction, below 0.1 rad/s.
 
     Attributes:
         coefficient: Additional dry friction at rest [N m or N].
-        speed: Stribeck speed, above which it fades out [rad/s or m/s].
+        speed: Stribeck speed, above which this friction decays [rad/s or m/s].
     """
 
     kind: ClassVar[str] = "stribeck_friction"
@@ -74,7 +78,7 @@ class Stribeck(LawFriction):
     speed: Annotated[PerJoint, Gt(0)] = 0.08
 
     def true_coefficients(self, tree: Tree) -> Mapping[JointLaw, Array]:
-        """Coefficients of one Stribeck law for each distinct speed."""
+        """Coefficients of Stribeck laws, one law per distinct Stribeck speed."""
         del tree
         size, speed = joint_array(self.coefficient), joint_array(self.speed)
         return {stribeck_law(v): size * (speed == v) for v in speed.ravel().tolist()}
@@ -82,15 +86,16 @@ class Stribeck(LawFriction):
 
 @dataclass(frozen=True, eq=False)
 class FrictionTerm(LawFriction):
-    """Friction by a velocity law of the estimator: coefficient times column.
+    """Friction by one of the estimator's velocity laws.
 
-    It is added to the joints' dry and viscous friction.
+    The torque is the coefficient times the law's function of velocity, in addition to the joints'
+    dry and viscous friction.
 
     Source    Our own choice.
 
     Attributes:
-        term: Name of the law, as "quadratic", "square_root" or "stribeck@0.1".
-        coefficient: Coefficient in the units of the term.
+        term: Name of the law, such as "quadratic", "square_root" or "stribeck@0.1".
+        coefficient: Coefficient in the units of the law.
     """
 
     kind: ClassVar[str] = "friction_term"
@@ -101,7 +106,7 @@ class FrictionTerm(LawFriction):
         """Coefficients of the friction law named by `term`, (n,) or ().
 
         Raises:
-            SettingsError: The law depends on more than the velocity, such as the load.
+            SettingsError: The law depends on more than the velocity, for example on the load.
         """
         del tree
         law = joint_law(self.term)
@@ -114,23 +119,23 @@ class FrictionTerm(LawFriction):
 
 @dataclass(frozen=True, eq=False)
 class LoadFriction(Effect):
-    """Gear friction that grows with the load, the torque T on the link.
+    """Gear friction that increases with the load, the torque T on the link.
 
-    Friction is sign(v) (c + loss abs(T)) + (viscous + viscous_load abs(T)) v in place of the
-    model's dry and viscous friction, with the same coefficients. The loss has another value where
-    the motion drives the gear back: gears of efficiency e lose 1 / e - 1 of T when driving and 1 -
-    e when driven. c is higher at low speed: coulomb (1 + (static - 1) exp(-(v / speed)^2)). It is
-    solved at every step together with the acceleration, on which T depends.
+    Friction is sign(v) (c + loss abs(T)) + (viscous + viscous_load abs(T)) v. It replaces the dry
+    and viscous friction of the model, with the same coefficients. c is larger at low speed: coulomb
+    (1 + (static - 1) exp(-(v / speed)^2)). The loss has another value where the motion drives the
+    gear back: a gear of efficiency e loses 1 / e - 1 of T when driving and 1 - e when driven. Since
+    T depends on the acceleration, both are solved together at every step.
 
     Source    Duclusaud et al., arXiv 2410.08650 (2024), models M3 to M5. Sizes are our own choice:
         gears lose 3 to 10 % of the torque that they pass on.
 
     Attributes:
         share: Loss, relative to the load, when the gear drives.
-        driven: Loss when the gear is driven, as a multiple of the share.
+        driven: Loss when the gear is driven back, as a multiple of `share`.
         viscous_load: Viscous friction per unit of load [s/rad or s/m].
         static: Ratio of dry friction at rest to that in motion.
-        speed: Speed above which the difference fades out [rad/s or m/s].
+        speed: Speed above which the additional friction at rest decays [rad/s or m/s].
     """
 
     kind: ClassVar[str] = "load_friction"
@@ -142,7 +147,7 @@ class LoadFriction(Effect):
     speed: Annotated[PerJoint, Gt(0)] = 0.08
 
     def gear_friction(self, tree: Tree) -> Gears:
-        """Gear friction coefficients of all joints; dry and viscous friction are the tree's."""
+        """Gear friction coefficients of all joints, with the tree's dry and viscous friction."""
         share, one = joint_array(self.share), np.ones(tree.n)
         return Gears(
             coulomb=COULOMB.coefficients(tree),
@@ -159,8 +164,8 @@ class LoadFriction(Effect):
 class WarmingDrives(Effect):
     """Drives that warm up from 25 degC, with viscous friction that depends on temperature.
 
-    The temperature, which is recorded, is 25 degC + rise (1 - exp(-t / time_constant)). The joints'
-    viscous friction is the model's, times 1 + viscous (temperature - 25 degC).
+    The temperature, which is recorded, is 25 degC + rise (1 - exp(-t / time_constant)). The viscous
+    friction of the joints is multiplied by 1 + viscous (temperature - 25 degC).
 
     Source    Our own choice: greases lose 1 to 3 % of their viscosity a kelvin.
 
@@ -176,12 +181,12 @@ class WarmingDrives(Effect):
     viscous: PerJoint = -0.02
 
     def temperature(self, time: Array) -> Array:
-        """Temperature of the drives, (M, n) or (M, 1) [degC]; 25 degC up to t = 0."""
+        """Temperature of the drives, (M, n) or (M, 1) [degC]; 25 degC until t = 0."""
         warm = -np.expm1(-np.maximum(time, 0.0) / self.time_constant)
         return ROOM_TEMPERATURE + np.outer(warm, joint_array(self.rise))
 
     def force_function(self, tree: Tree, step: float) -> ForceFunction:
-        """Function for forces of the change of viscous friction since 25 degC."""
+        """Function for the forces due to the change of viscous friction from 25 degC."""
         del step
         change = self.true_coefficients(tree)[WARM_VISCOUS]
 
@@ -193,23 +198,24 @@ class WarmingDrives(Effect):
         return push
 
     def true_coefficients(self, tree: Tree) -> Mapping[JointLaw, Array]:
-        """Change of viscous friction per kelvin, by the law `WARM_VISCOUS`, (n,)."""
+        """Change of viscous friction per kelvin, for the law `WARM_VISCOUS`, (n,)."""
         return {WARM_VISCOUS: VISCOUS.coefficients(tree) * joint_array(self.viscous)}
 
 
 @dataclass(frozen=True, eq=False)
 class LuGreFriction(Effect):
-    """LuGre friction, with elastic bristles that deflect before slip.
+    """LuGre friction, with elastic bristles that deflect before the joint slips.
 
-    With deflection z: dz/dt = v - stiffness abs(v) z / g(v), friction = stiffness z + damping dz/dt
-    + viscous v, g(v) = coulomb (1 + (static - 1) exp(-(v / speed)^2)). Coulomb and viscous
-    coefficients are the model's; the law takes the place of dry and viscous friction.
+    With the bristle deflection z: dz/dt = v - stiffness abs(v) z / g(v), friction = stiffness z +
+    damping dz/dt + viscous v, g(v) = coulomb (1 + (static - 1) exp(-(v / speed)^2)). The law
+    replaces the dry and viscous friction of the model, with the same Coulomb and viscous
+    coefficients.
 
     Source    Canudas de Wit et al., IEEE Transactions on Automatic Control 40 (1995) 419.
 
     Attributes:
         static: Ratio of friction at rest to dry friction in motion.
-        speed: Speed above which the difference fades out [rad/s or m/s].
+        speed: Speed above which the additional friction at rest decays [rad/s or m/s].
         stiffness: Stiffness of the bristles [N m/rad or N/m].
         damping: Damping of the bristles [N m s/rad or N s/m].
     """
@@ -222,9 +228,9 @@ class LuGreFriction(Effect):
     damping: Annotated[PerJoint, Ge(0)] = 50.0
 
     def force_function(self, tree: Tree, step: float) -> ForceFunction:
-        """Function for the forces of LuGre friction; bristles are undeflected at first.
+        """Function for the forces of LuGre friction, with undeflected bristles at the start.
 
-        The function keeps the deflection between calls, one call per step.
+        The function stores the deflection between calls and must be called once per step.
         """
         dry, viscous = COULOMB.coefficients(tree), VISCOUS.coefficients(tree)
         static, speed = joint_array(self.static), joint_array(self.speed)
@@ -248,7 +254,8 @@ def _bristle_deflection(
 ) -> Array:
     """Bristle deflection after a step of constant velocity, (n,) [rad or m].
 
-    The exact solution of the differential equation: no overshoot for any step.
+    This is the exact solution of the differential equation, so it does not overshoot for any step
+    size.
 
     Args:
         previous: Deflection before the step, (n,) [rad or m].

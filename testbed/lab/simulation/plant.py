@@ -49,15 +49,16 @@ class Plant:
     Attributes:
         model: The MuJoCo model.
         velocity_index: Index of each joint of the tree among MuJoCo's velocities, (n,).
-        velocity_ratios: Ratios of MuJoCo's velocities to the joints' velocities, (nv, n): one for a
-            joint, the gear ratio for a degree of freedom coupled to it.
+        velocity_ratios: Ratios of MuJoCo's velocities to the joints' velocities, (nv, n): 1 for the
+            joint itself, the gear ratio for a degree of freedom coupled to it.
         position_index: Indices of the joint positions in the sensor data, (n,).
         velocity_sensor_index: Indices of the joint velocities in the sensor data, (n,).
         plate_index: Indices of the plate's force and moment in the sensor data, (6,).
         X_BS: Pose of the plate's sensor S in the bedplate frame B.
-        force_sensor_index: Indices of the force sensors' components in the sensor data, (6 S,).
-        tare: Static wrench of the pedestal, which does not move, (6,) [N, N m], bedplate axes,
-            about O^0.
+        force_sensor_index: Indices of the components of the S force sensors in the sensor data, (6
+            S,).
+        tare: Static wrench of the pedestal (the bodies that do not move), (6,) [N, N m], along the
+            bedplate's axes and about its origin O^0.
     """
 
     model: mujoco.MjModel
@@ -74,15 +75,15 @@ class Plant:
 def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
     """Check that the plant obeys the tree's equations of motion in three states.
 
-    The motors apply the torques of a motion of all joints, or of every other joint. MuJoCo's dry
-    friction is Coulomb's only where it is overcome: without motors a light link would not overcome
-    it. The check finds anything else in a model file that acts on the robot: springs, tendons,
-    fluid, gravity compensation, a body that does not stand on the plate.
+    The motors apply the torques of a motion of all joints, or of every other joint; without motors,
+    a light link would not overcome its dry friction, and MuJoCo's dry friction equals Coulomb's
+    only in motion. The check detects other influences on the robot in a model file: springs,
+    tendons, fluid, gravity compensation, bodies that do not stand on the plate.
 
     Args:
         plant: The robot on its bedplate.
-        tree: The robot as read, without friction if the plant has none.
-        path: Model file, for the message.
+        tree: The robot as read; without friction if the plant has none.
+        path: Path of the model file, for the error message.
 
     Raises:
         ModelError: Forces, accelerations or wrench differ; the message names the joints.
@@ -126,7 +127,7 @@ def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
 
 
 class _CheckState(NamedTuple):
-    """Forces in the plant and forces expected from the tree, (n,) each [N m or N]."""
+    """Forces in the plant, and expected forces from the tree, (n,) each [N m or N]."""
 
     motor: Array
     friction: Array  # expected friction torque
@@ -137,15 +138,15 @@ class _CheckState(NamedTuple):
 
 
 def _driven_state(plant: Plant, tree: Tree, path: Path, moving: Array) -> _CheckState:
-    """Forces in the plant in a random state near the middle of all joint ranges.
+    """Forces in the plant in a random state near the middle of the joint ranges.
 
-    The motors apply the tree's inverse dynamics, friction and rotors included.
+    The motors apply the tree's inverse dynamics, including friction and rotors.
 
     Args:
         plant: The robot on its bedplate.
         tree: The robot as read.
-        path: Model file, for the message.
-        moving: One for each joint that moves, else zero, (n,).
+        path: Path of the model file, for the error message.
+        moving: 1 for each joint that moves, 0 for the others, (n,).
 
     Raises:
         ModelError: An acceleration is not finite.
@@ -212,17 +213,18 @@ def build_plant(
     """Build the plant: the robot of a model file on its sensing bedplate.
 
     Args:
-        model: The model file, and how it is read.
-        tree: The robot with its effects; gives joint names, their order and gravity.
+        model: Model file, and the settings used to read it.
+        tree: The robot with its effects; it gives joint names, joint order and gravity.
         step: Integration step [s].
-        changed_joints: Names of joints with the tree's friction and rotor inertia, not the file's.
-        with_friction: Keep the joints' friction.
-        effects: Effects in the plant, for this robot.
+        changed_joints: Names of joints whose friction and rotor inertia are the tree's, not the
+            file's.
+        with_friction: True to simulate the joints' friction.
+        effects: Effects in the plant, adapted to this robot.
         sensors: Force sensors in the robot, in addition to the bedplate's.
 
     Raises:
         ModelError: MuJoCo refuses the model, or the plant differs from the tree.
-        UnknownName: A sensor is at an unknown link.
+        UnknownName: A sensor is mounted on an unknown link.
     """
     if not with_friction or any(effect.owns_friction for effect in effects):
         tree = tree.without_friction()
@@ -253,10 +255,11 @@ def build_plant(
 def robot_spec(model: ModelFile) -> mujoco.MjSpec:
     """MuJoCo's editable model of an MJCF or URDF file, without additions.
 
-    Fixed links of a URDF stay separate bodies, inertias unchanged; a link "world" is renamed.
+    Links of a URDF file that are fixed to others remain separate bodies with unchanged inertias. A
+    link with the name "world" is renamed.
 
     Args:
-        model: The model file, and how it is read.
+        model: Model file, and the settings used to read it.
 
     Raises:
         ModelError: MuJoCo refuses the file.
@@ -285,7 +288,10 @@ def robot_spec(model: ModelFile) -> mujoco.MjSpec:
 
 
 def _robot_on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
-    """World with a plate at its origin, force and torque sensors, and the robot attached."""
+    """World that contains a plate at the origin, with the robot attached to it.
+
+    The plate has a force and a torque sensor.
+    """
     spec = mujoco.MjSpec()
     spec.compiler.boundmass = spec.compiler.boundinertia = MIN_COMPILED_MASS
     site = spec.worldbody.add_body(name=_PLATE_NAME).add_site(name=_PLATE_NAME)
@@ -299,11 +305,12 @@ def _configure(
 ) -> None:
     """Set integrator, gravity, friction and armature; add motors and joint sensors.
 
-    Runge-Kutta of fourth order, without contacts and torque limits. Dry and viscous friction are
-    zero where the tree's are. Dry friction is Coulomb's down to 0.01 rad/s.
+    The integrator is Runge-Kutta of fourth order, without contacts and torque limits. Dry and
+    viscous friction are zero where they are zero in the tree. Dry friction is Coulomb's down to
+    0.01 rad/s.
 
     Args:
-        spec: MuJoCo's editable model, changed.
+        spec: MuJoCo's editable model, modified.
         tree: The robot.
         step: Integration step [s].
         prefix: Prefix of the joints' names in `spec`.
@@ -377,7 +384,7 @@ def _compiled_plant(
     prefix: str,
     sensors: Sequence[ForceSensor],
 ) -> Plant:
-    """Plant of a compiled model.
+    """Plant for a compiled model.
 
     Args:
         model: The robot on its plate.
@@ -426,8 +433,8 @@ def _sensor_name(signal: str, joint: str) -> str:
 def _velocity_ratios(model: mujoco.MjModel, order: Array) -> Array:
     """Ratios of MuJoCo's velocities to the joints' velocities, (nv, n).
 
-    One for a joint's own velocity; for a follower of a joint equality, the linear coefficient of
-    the equality times the row of its leader.
+    A joint's own velocity has the ratio 1. The row of a follower in a joint equality is the
+    equality's linear coefficient times the row of the leading joint.
 
     Args:
         model: The compiled model.
@@ -446,7 +453,8 @@ def _velocity_ratios(model: mujoco.MjModel, order: Array) -> Array:
 def _plate_sensors(model: mujoco.MjModel) -> tuple[int, int] | None:
     """Indices of the plate's force and torque sensors among MuJoCo's sensors.
 
-    The plate is the first site welded to the world with both sensors; None without such a site.
+    The plate is the first site that is welded to the world and has both sensors. The result is None
+    if there is no such site.
     """
     sites = list(
         zip(model.sensor_type.tolist(), model.sensor_objid.tolist(), strict=True)
@@ -460,13 +468,13 @@ def _plate_sensors(model: mujoco.MjModel) -> tuple[int, int] | None:
 
 
 def _static_wrench(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> Array:
-    """Wrench that supports the fixed bodies on the plate's sensor, (6,) [N, N m].
+    """Static wrench on the plate's sensor that supports the fixed bodies, (6,) [N, N m].
 
-    World axes, about the world's origin.
+    The wrench is along the world's axes and about the world's origin.
 
     Args:
         model: The compiled model.
-        data: Its state.
+        data: State of the model.
         body: Index of the body that carries the sensor.
     """
     fixed_bodies = [body]

@@ -28,16 +28,17 @@ START_INTERVAL = 0.1
 def replay_errors(
     model: ModelFile, recording: Recording, duration: float = 2.0
 ) -> Array:
-    """Simulated minus recorded positions under the recorded torques, (M, n) [rad or m].
+    """Error of simulated positions under the recorded torques, (M, n) [rad or m].
 
-    The simulation is open-loop, without contacts, and starts `START_INTERVAL` after the recording's
-    begin. Motors have the gears and delays of the model file, by default ratio one and no delay.
-    Between samples the torque is linear in time. Initial positions and velocities are those of a
-    cubic fit to the positions within `START_INTERVAL` of the start.
+    The error is `simulated - recorded`. The simulation is open-loop and without contacts; it starts
+    `START_INTERVAL` after the beginning of the recording. Motors have the gear ratios and delays of
+    the model file, by default 1 and 0. The torque is interpolated linearly between samples. The
+    initial positions and velocities are those of a cubic polynomial fitted to the positions within
+    `START_INTERVAL` of the start.
 
     Args:
-        model: The model file, and how it is read.
-        recording: Recording with torques, as reported by the drives.
+        model: Model file, and the settings used to read it.
+        recording: Recording with the torques that the drives reported.
         duration: Duration of the simulation, at most to the end of the recording [s].
 
     Raises:
@@ -80,11 +81,11 @@ def replay_errors(
 def _initialise_delays(
     plant: mujoco.MjModel, data: mujoco.MjData, time: Array, torque: Array
 ) -> None:
-    """Fill the command history of delayed motors with torques before the start, t = 0.
+    """Fill the command history of delayed motors with the torques before the start, t = 0.
 
     Args:
         plant: Model with motors.
-        data: State of the model, changed.
+        data: State of the model, modified.
         time: Times of the samples from the start of the simulation, (M,) [s].
         torque: Recorded torques, (M, n) [N m or N]; interpolated linearly.
     """
@@ -101,12 +102,12 @@ def _initialise_delays(
 def _motorised_model(
     model: ModelFile, names: Sequence[str], step: float
 ) -> mujoco.MjModel:
-    """Compiled robot with a motor at each joint, without contacts.
+    """Compiled model of a robot with a motor at each joint, without contacts.
 
-    Gear ratio and delay are those of the MJCF file's actuator of the joint, else one and zero.
+    Gear ratio and delay are those of the joint's actuator in an MJCF file, otherwise 1 and 0.
 
     Args:
-        model: The model file, and how it is read.
+        model: Model file, and the settings used to read it.
         names: Joint names, in the order of the motors.
         step: Integration step [s].
     """

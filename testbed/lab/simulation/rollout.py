@@ -53,11 +53,11 @@ class Sampling:
 
     Attributes:
         rate: Sampling rate, also the controller's rate [Hz].
-        steps: Integration steps per sample; fewer are taken where no joint sticks or reverses and
-            no force jumps.
-        averaged: Each sample is the mean over its duration (integrate and dump), else its first
-            instant.
-        warm_up: Time simulated before the recording starts [s].
+        steps: Integration steps per sample; fewer are used where no joint sticks or reverses and no
+            force is discontinuous.
+        averaged: True if a sample is the mean over its duration (integrate and dump), False if it
+            is the value at its first instant.
+        warm_up: Simulated time before the recording starts [s].
         start_time: Start time of the recording, 0 or earlier [s].
     """
 
@@ -69,7 +69,7 @@ class Sampling:
 
 
 class SampledLoop:
-    """Closed-loop simulation of a run, in blocks of samples."""
+    """Closed-loop simulation of a motion, in blocks of samples."""
 
     def __init__(
         self,
@@ -128,13 +128,13 @@ class SampledLoop:
         self._clock = Clock(period, sampling.steps, smooth, sampling.averaged)
 
     def run(self, samples: range) -> Truth:
-        """Simulate the next samples along the reference and return the true signals.
+        """Simulate the next samples along the reference, and return the true signals.
 
-        The plant's state continues from the previous call. An exception of the function for
+        The plant continues from its state after the previous call. An exception in the function for
         additional forces is raised again.
 
         Args:
-            samples: Numbers of the samples, consecutive to those of the previous call.
+            samples: Sample indices that follow those of the previous call.
         """
         plant, model, n = (
             self._plant,
@@ -174,10 +174,10 @@ class SampledLoop:
 
 
 def _smooth_step_count(model: mujoco.MjModel, period: float) -> int:
-    """Number of integration steps per sample for smooth forces.
+    """Number of integration steps per sample where forces are smooth.
 
-    Steps are at most `MAX_SMOOTH_STEP`, and `MAX_DECAY_FRACTION` over the fastest rate of damping
-    (damping / inertia) or springs (natural frequency).
+    A step is at most `MAX_SMOOTH_STEP`, and at most `MAX_DECAY_FRACTION` divided by the fastest
+    rate of damping (damping / inertia) or of springs (natural frequency).
 
     Args:
         model: MuJoCo's model.
@@ -199,10 +199,10 @@ def _smooth_step_count(model: mujoco.MjModel, period: float) -> int:
 
 
 class _ForceCallback:
-    """C callback that applies additional forces and gear friction to the joints before every step.
+    """C callback that applies additional forces and gear friction before every step.
 
     Its address is 0 if there are no such forces. An exception sets `failed`, which stops the
-    compiled loop, and is raised by `check`.
+    compiled loop; `check` raises the exception.
     """
 
     def __init__(
@@ -232,7 +232,7 @@ class _ForceCallback:
         self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
 
     def check(self) -> None:
-        """Raise the exception of the callback, if any."""
+        """Raise the exception that occurred in the callback, if any."""
         if self._error is not None:
             raise self._error
 
@@ -242,8 +242,8 @@ def _gear_friction(
 ) -> Callable[[], Array]:
     """Function for the gear friction over the next step, (n,) [N m or N].
 
-    Each call solves the equation of `solve_friction` with the other forces on the joints at
-    MuJoCo's current state, from the friction of the previous call.
+    Each call solves the equation of `solve_friction` for the other joint forces at MuJoCo's current
+    state, starting from the friction of the previous call.
 
     Args:
         gears: Friction coefficients of the gears.
@@ -283,7 +283,7 @@ BlockCallback: TypeAlias = Callable[[Array, Truth], None]
 
 
 class SimulationDiverged(TestbedError):
-    """Simulation that left the reference or became unstable."""
+    """Error: the simulation departed from the reference or became unstable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,20 +315,22 @@ def simulate_motion(
     forces: ForceFunction | None = None,
     gears: Gears | None = None,
 ) -> Rollout:
-    """Simulate a motion under computed-torque control, in blocks of `_BLOCK_SAMPLES` samples.
+    """Simulate a motion under computed-torque control, in blocks of samples.
 
     Args:
         plant: The robot on its bedplate.
         tree: A-priori model of the robot and its friction, used by the controller.
         motion: Reference motion.
-        duration: Duration of the recording, from t = 0 to its end [s].
+        duration: Duration of the recording from t = 0 [s].
         bandwidth: Bandwidth of the controller [rad/s].
         sampling: Sampling of the run.
         progress: Called with the number of finished samples and of all samples.
-        report_block: Called with blocks of about a second of true signals, times before 0 included.
-        forces: Function for additional joint forces, called before every step; their loss counts as
-            friction. They are not in the controller's model.
-        gears: Load-dependent gear friction, solved before every step, in place of the plant's.
+        report_block: Called with blocks of about a second of true signals, including those before t
+            = 0.
+        forces: Function for additional joint forces, called before every step; they are not part of
+            the controller's model, and are recorded as friction with opposite sign.
+        gears: Load-dependent gear friction, solved before every step; it replaces the plant's
+            friction.
 
     Raises:
         SimulationDiverged: The simulation became unstable, or the rms tracking error of a joint is
@@ -361,11 +363,11 @@ def simulate_motion(
 def _checked_rollout(
     time: Array, logs: Sequence[Truth], drive: Controller, tree: Tree
 ) -> Rollout:
-    """Rollout of the recorded samples, checked for tracking of the reference.
+    """Rollout of the recorded samples, after a check of the tracking errors.
 
     Args:
         time: First instants of the recorded samples, (M,) [s].
-        logs: True signals of the blocks, warm-up included.
+        logs: True signals of the blocks, including the warm-up.
         drive: The controller.
         tree: The robot, for joint names.
 

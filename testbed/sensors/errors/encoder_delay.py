@@ -17,14 +17,14 @@ from testbed.sensors.systematic_error import EncoderError
 
 @dataclass(frozen=True)
 class EncoderDelay(EncoderError):
-    """Delay of positions against the plate's samples, joint by joint.
+    """Delay of the positions relative to the plate's samples, with one value per joint.
 
-    Equal delays of all joints are equivalent to an early plate.
+    Equal delays of all joints are equivalent to plate samples that are early.
 
-    Source    A bus that polls its drives in turn, each a millisecond.
+    Source    A bus that polls its drives one after the other, at intervals of a millisecond.
 
     Attributes:
-        delay: Delay of a position; negative if it is early [s].
+        delay: Delay of the positions; negative if they are early [s].
     """
 
     kind: ClassVar[str] = "encoder_delay"
@@ -38,7 +38,7 @@ class EncoderDelay(EncoderError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Delayed positions, (M, n) [rad or m]; held before the first sample."""
+        """Delayed positions, (M, n) [rad or m]; the first value is held before the first sample."""
         delays = np.broadcast_to(values, signal.shape[1])
         delayed = [
             resampled_signal(q, time, time - delay)
@@ -50,7 +50,7 @@ class EncoderDelay(EncoderError):
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
         """Derivative of the residual wrench with respect to each joint's delay, (rows, 6, n).
 
-        The time derivative of the wrench due to the motion of that joint alone.
+        The result is the time derivative of the wrench due to the motion of the joint alone.
         """
         joint_columns = [
             predicted.joint_time_derivative(j) for j in range(predicted.tree.n)

@@ -21,12 +21,12 @@ class EncoderEccentricity(EncoderError):
     The reading is q + amplitude sin(2 pi q / period + phase). At a prismatic joint the period is
     the travel per turn of the screw or belt pulley.
 
-    Source    10 um at a radius of 25 mm, as data sheets of ring encoders allow on mounting.
+    Source    10 um at a radius of 25 mm, the mounting tolerance in data sheets of ring encoders.
 
     Attributes:
         amplitude: Amplitude of the error [rad or m].
         period: Period of the error in the joint position [rad or m].
-        phase: Phase of the error at q = 0; drawn if left out [rad].
+        phase: Phase of the error at q = 0; drawn at random if omitted [rad].
     """
 
     kind: ClassVar[str] = "encoder_eccentricity"
@@ -43,7 +43,7 @@ class EncoderEccentricity(EncoderError):
 
     @property
     def values(self) -> Array:
-        """Amplitudes of sine and cosine, joint by joint, for the period of a turn."""
+        """Amplitudes of sine and cosine, joint by joint, for a period of one turn."""
         size, phase = np.broadcast_arrays(
             joint_array(self.amplitude), joint_array(self.phase or 0.0)
         )

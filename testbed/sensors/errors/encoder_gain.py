@@ -13,12 +13,12 @@ from testbed.sensors.systematic_error import EncoderError
 
 @dataclass(frozen=True)
 class EncoderGain(EncoderError):
-    """Gain error of positions, as from a wrong gear ratio or pitch.
+    """Gain error of the positions, caused for example by a wrong gear ratio or pitch.
 
-    Source    A ratio typed with two digits, 1 %.
+    Source    A gear ratio entered with two digits: 1 %.
 
     Attributes:
-        error: Relative error; 0.01 reads 1 % too much.
+        error: Relative error; 0.01 means that readings are 1 % too large.
     """
 
     kind: ClassVar[str] = "encoder_gain"
@@ -31,6 +31,6 @@ class EncoderGain(EncoderError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Positions times one plus the errors, (M, n) [rad or m]."""
+        """Positions multiplied by `1 + error`, (M, n) [rad or m]."""
         del time
         return (1 + values) * signal

@@ -1,4 +1,4 @@
-"""Encoders sampled at instants instead of averaged."""
+"""Encoders that are sampled instantaneously instead of averaged."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 class EncoderInstantSampling(SensorError):
     """Positions at the first instant of each sample; other signals are means.
 
-    A controller's counter latches positions in this way. Compared with an averaging plate,
-    positions are half a sampling time early. Exact for smooth motions (`values_at_first_instants`).
+    The counter of a controller latches positions in this way. Compared with an averaging plate,
+    positions are half a sampling time early. The computation is exact for smooth motions
+    (`values_at_first_instants`).
 
-    Source    How counters work; no size.
+    Source    Operating principle of counters; the error has no size.
     """
 
     kind: ClassVar[str] = "encoder_instant_sampling"
@@ -26,7 +27,7 @@ class EncoderInstantSampling(SensorError):
     stage: ClassVar[StageOrder] = StageOrder.CLOCK
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Positions at the first instants, (M, n) [rad or m], from means over samples."""
+        """Positions at the first instants, (M, n) [rad or m], from means over the samples."""
         del rng
         return values_at_first_instants(signal, time)
 
@@ -34,8 +35,8 @@ class EncoderInstantSampling(SensorError):
 def values_at_first_instants(means: Array, time: Array) -> Array:
     """Signal at the first instant of each sample, from its means over the samples.
 
-    The cumulative sum of the means is the exact integral of the signal at the samples' edges; a
-    spline through it is differentiated.
+    The cumulative sum of the means is the exact integral of the signal at the boundaries of the
+    samples. A spline through this sum is differentiated.
 
     Args:
         means: Means over the samples, (M, k).

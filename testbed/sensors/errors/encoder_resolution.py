@@ -17,10 +17,10 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 class EncoderResolution(SensorError):
     """Quantisation of positions: rounding to the nearest count.
 
-    Source    16 bits a turn: 9.6e-5 rad.
+    Source    16 bits per turn: 9.6e-5 rad.
 
     Attributes:
-        count: Least count; 0 for none [rad or m].
+        count: Least count; 0 for no rounding [rad or m].
     """
 
     kind: ClassVar[str] = "encoder_resolution"

@@ -14,9 +14,9 @@ from testbed.sensors.systematic_error import EncoderError
 
 @dataclass(frozen=True)
 class EncoderZeroError(EncoderError):
-    """Zero error of positions: a constant offset.
+    """Zero error of the positions: a constant offset.
 
-    Source    An arm zeroed by eye at engraved marks: 0.2 degrees.
+    Source    An arm aligned visually with engraved zero marks: 0.2 degrees.
 
     Attributes:
         error: Offset of the reading [rad or m].
@@ -39,6 +39,6 @@ class EncoderZeroError(EncoderError):
     def coordinate_errors(
         cls, q: Array, qd: Array, qdd: Array
     ) -> Iterable[tuple[Any, Any, Any]]:
-        """Derivatives of a constant offset: one for the position, zero for its rates."""
+        """Derivatives with respect to the offset: 1 for the position, 0 for its derivatives."""
         del q, qd, qdd
         return ((1.0, 0.0, 0.0),)

@@ -16,10 +16,10 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 class MeasuredTare(SensorError):
     """Measured tare: mean wrench of the plate at rest, without the robot.
 
-    The plate has the same systematic errors as in the recording (bias, crosstalk) and other noise.
-    Its zero drifts and wanders in between.
+    The plate has the same systematic errors (bias, crosstalk) as in the recording, but different
+    noise. Its zero drifts and wanders between the tare measurement and the recording.
 
-    Source    Practice: five seconds, a minute before the robot is mounted and moves.
+    Source    Common practice: five seconds, one minute before the robot is mounted and moves.
 
     Attributes:
         seconds: Duration of the measurement [s].
@@ -42,6 +42,6 @@ class MeasuredTare(SensorError):
         return (np.arange(samples) - samples) / rate - self.before
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Mean of the plate's reading at rest, in every row, (M, 6) [N, N m]."""
+        """Mean of the plate's readings at rest, repeated in every row, (M, 6) [N, N m]."""
         del time, rng
         return np.broadcast_to(signal.mean(axis=0), signal.shape)

@@ -13,18 +13,19 @@ from testbed.core.base.errors import SettingsError
 from testbed.sensors.sensor_error import SensorError, Signal, StageOrder, sampling_time
 
 MIN_RELATIVE_CUTOFF = 1e-5
-"""Smallest cutoff relative to the sampling rate: below, rounding dominates the coefficients."""
+"""Smallest cutoff relative to the sampling rate; below it, rounding dominates the coefficients."""
 
 
 @dataclass(frozen=True)
 class PlateAntiAliasFilter(SensorError):
     """Low-pass filter before the plate's converter; joint signals are not filtered.
 
-    A causal Butterworth filter, exact for signals that are linear between samples; its initial
-    state is the steady state of the first sample. At second order it delays slow signals by sqrt(2)
-    / (2 pi cutoff).
+    The causal Butterworth filter is exact for signals that are linear between samples. Its initial
+    state is the steady state for the first sample. A second-order filter delays slow signals by
+    sqrt(2) / (2 pi cutoff).
 
-    Source    Filters of bridge amplifiers in data sheets: second order, a tenth of the rate.
+    Source    Filters of bridge amplifiers in data sheets: second order, a tenth of the sampling
+        rate.
 
     Attributes:
         cutoff: Cutoff frequency, at half the power [Hz].
@@ -38,7 +39,7 @@ class PlateAntiAliasFilter(SensorError):
     order: Annotated[int, Ge(1), Le(8)] = 2
 
     def check_rate(self, rate: float) -> None:
-        """Check that the cutoff is not too low for the rounding of the filter.
+        """Check that the cutoff is high enough for small rounding errors of the filter.
 
         Args:
             rate: Sampling rate [Hz].

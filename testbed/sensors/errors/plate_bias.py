@@ -44,7 +44,7 @@ class PlateBias(PlateError):
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
-        """Offsets of the plate's channels, (6,), then of each further force sensor."""
+        """Offsets of the plate's channels, (6,), then offsets of the further force sensors."""
         cuts = (channel_coefficients(f"{cls.term}/{cut.name}") for cut in tree.cuts)
         return sum(cuts, cls.fixed)
 
@@ -60,7 +60,7 @@ class PlateBias(PlateError):
     ) -> Recording:
         """Recording without the offsets of plate and force sensors.
 
-        Offsets of force sensors in the robot are transformed to the bedplate at each posture.
+        Offsets of force sensors in the robot are transformed to the bedplate for each posture.
         """
         del time
         plate_offset, *sensor_offsets = values.reshape(-1, 6)
@@ -76,9 +76,10 @@ class PlateBias(PlateError):
 
     @classmethod
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
-        """Identity for the plate, minus the transforms for force sensors, (rows, 6, k).
+        """Regressor columns of the offsets of plate and force sensors, (rows, 6, k).
 
-        The transforms, from each further force sensor to the first sensor, are filtered.
+        The columns are the identity for the first sensor (or the plate), and the negative filtered
+        wrench transform to the first sensor for each further force sensor.
         """
         rows = np.broadcast_to(np.eye(6), (len(predicted.time), 6, 6))
         if not predicted.tree.cuts:

@@ -20,7 +20,7 @@ class PlateClockRate(ClockError):
     Source    Tolerance of quartz clocks in data sheets: 50 parts in a million.
 
     Attributes:
-        error: Relative error; the sample of time t is of t / (1 + error).
+        error: Relative error; the sample with time stamp t is taken at t / (1 + error).
     """
 
     kind: ClassVar[str] = "plate_clock_rate"
@@ -35,7 +35,7 @@ class PlateClockRate(ClockError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench at times t / (1 + error), (M, 6) [N, N m]; held beyond its ends."""
+        """Wrench at times t / (1 + error), (M, 6) [N, N m]; values are held beyond the ends."""
         rate = 1 + float(values[0])
         return resampled_signal(signal, time, time / rate) if rate != 1 else signal
 

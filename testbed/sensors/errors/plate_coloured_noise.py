@@ -15,12 +15,12 @@ from testbed.sensors.sensor_error import AddedWrench, sampling_time
 
 @dataclass(frozen=True)
 class PlateColouredNoise(AddedWrench):
-    """Coloured noise: stationary autoregression of first order.
+    """Coloured noise: stationary first-order autoregressive process.
 
-    Its correlation decays as exp(-t / time_constant).
+    The autocorrelation decays as exp(-t / time_constant).
 
-    Source    Our own choice: as much as the white noise of experiments/table6.toml, and slow
-        enough to pass a filter of 5 Hz.
+    Source    Our own choice: the same size as the white noise of experiments/table6.toml, and slow
+        enough to pass a 5 Hz low-pass filter.
 
     Attributes:
         force: Standard deviation of the forces [N].

@@ -14,11 +14,11 @@ from testbed.sensors.sensor_error import FULL_SCALE, SensorError, Signal, StageO
 
 @dataclass(frozen=True)
 class PlateConverter(SensorError):
-    """Analog-to-digital converter: rounding to whole counts, limited to the range.
+    """Analog-to-digital converter: rounding to whole counts within the range.
 
-    The range is `full_scale` of the instrument, in both directions.
+    The range extends from `-full_scale` to `full_scale` of the instrument.
 
-    Source    12 bits, as data acquisition cards had; 16 are common now.
+    Source    12 bits, as in older data acquisition cards; 16 bits are common today.
 
     Attributes:
         bits: Resolution in bits, 1 to 32.
@@ -31,7 +31,7 @@ class PlateConverter(SensorError):
     full_scale: tuple[float, ...] = field(default=FULL_SCALE, repr=False)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Wrench in whole counts within the range, (M, 6) [N, N m]."""
+        """Wrench rounded to whole counts within the range, (M, 6) [N, N m]."""
         del time, rng
         half_range = 2 ** (self.bits - 1)
         count = np.array(self.full_scale) / half_range

@@ -15,23 +15,23 @@ from testbed.sensors.sensor_error import FULL_SCALE, StageOrder
 from testbed.sensors.systematic_error import Coefficient, PlateError
 
 OFF_DIAGONAL = np.flatnonzero(~np.eye(6, dtype=np.bool_))
-"""Indices of the off-diagonal entries in a row-wise (6, 6) matrix: the crosstalk."""
+"""Indices of the off-diagonal elements (the crosstalk) in a row-major (6, 6) matrix."""
 
 
 @dataclass(frozen=True)
 class PlateCrosstalk(PlateError):
-    """Crosstalk between channels, in proportion to the full scales.
+    """Crosstalk between channels, in proportion to their full scales.
 
-    With D = diag(full scale) the reading is (1 + D X D^-1) W. The off-diagonal entries of X are
-    drawn between -size and size, unless `matrix` gives X.
+    With D = diag(full scale), the reading of a wrench W is (1 + D X D^-1) W. The off-diagonal
+    elements of X are drawn between -size and size, unless X is given by `matrix`.
 
     Source    Crosstalk of six-component plates and sensors in data sheets: 1 to 2 % of full
         scale.
 
     Attributes:
-        size: Largest entry, relative to full scale.
-        matrix: X, six rows of six numbers, a row for each reading; its diagonal holds errors of the
-            gains.
+        size: Largest element of X, relative to full scale.
+        matrix: Matrix X as six rows of six numbers, one row per reading; its diagonal contains gain
+            errors.
     """
 
     kind: ClassVar[str] = "plate_crosstalk"
@@ -86,7 +86,7 @@ class PlateCrosstalk(PlateError):
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Derivative with respect to the sensitivities to loads of other channels, (M, 6, 30)."""
+        """Derivative with respect to the sensitivities to other channels' loads, (M, 6, 30)."""
         return np.asarray(
             PlateMatrix.derivative(signal, time, neutral)[..., OFF_DIAGONAL]
         )

@@ -18,12 +18,12 @@ from testbed.sensors.systematic_error import ClockError, Coefficient
 
 @dataclass(frozen=True)
 class PlateDelay(ClockError):
-    """Constant delay (skew) of the plate's samples against the joints' samples.
+    """Constant delay (skew) of the plate's samples relative to the joints' samples.
 
-    Source    Two loggers started by software: one sample at a thousand a second.
+    Source    Two loggers that are started by software: one sample at 1000 samples per second.
 
     Attributes:
-        delay: Delay of the plate; negative if it is early [s].
+        delay: Delay of the plate; negative if the plate is early [s].
     """
 
     kind: ClassVar[str] = "plate_delay"
@@ -34,7 +34,7 @@ class PlateDelay(ClockError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Delayed wrench, (M, 6) [N, N m]; held before the first sample."""
+        """Delayed wrench, (M, 6) [N, N m]; the first value is held before the first sample."""
         delay = float(values[0])
         return resampled_signal(signal, time, time - delay) if delay else signal
 
@@ -45,12 +45,12 @@ class PlateDelay(ClockError):
 
     @classmethod
     def lost_sample_count(cls, values: Array, rate: float) -> int:
-        """Number of samples at either end that a delay leaves without neighbours."""
+        """Number of samples at each end that lack neighbours for the correction of the delay."""
         return edge_samples(float(values[0]), rate)
 
     @classmethod
     def delay_derivative(cls, time: Array) -> Array | float:
-        """Derivative of the delay with respect to its coefficient: 1."""
+        """Derivative of the delay with respect to its coefficient, which is 1."""
         del time
         return 1.0
 

@@ -20,10 +20,10 @@ from testbed.sensors.systematic_error import (
 
 @dataclass(frozen=True)
 class PlateDrift(PlateError):
-    """Zero error that grows linearly with time, from zero at time 0.
+    """Zero error that grows linearly with time, starting from zero at time 0.
 
-    Source    Drift of charge amplifiers in data sheets, 0.01 N/s, five times over: an amplifier
-        that warms up.
+    Source    Five times the drift of charge amplifiers in data sheets (0.01 N/s), for an amplifier
+        during warm-up.
 
     Attributes:
         force: Drift of the forces [N/s].
@@ -44,11 +44,11 @@ class PlateDrift(PlateError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench plus time times the drift, (M, 6) [N, N m]."""
+        """Wrench with `time * drift` added, (M, 6) [N, N m]."""
         return signal + time[:, None] * values
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Derivative with respect to the drifts: time times the identity, (M, 6, 6) [s]."""
+        """Derivative with respect to the drifts, `time * identity`, (M, 6, 6) [s]."""
         del signal, neutral
         return time[:, None, None] * np.eye(6)

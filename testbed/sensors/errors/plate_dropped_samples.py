@@ -14,7 +14,7 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 @dataclass(frozen=True)
 class PlateDroppedSamples(SensorError):
-    """Samples lost in transmission and replaced by the previous sample.
+    """Samples that are lost in transmission and replaced by the previous sample.
 
     Source    A bus without retransmission: one sample in a thousand.
 

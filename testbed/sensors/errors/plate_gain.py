@@ -22,7 +22,7 @@ class PlateGain(PlateError):
     Source    Accuracy of force plates and six-axis sensors in data sheets: 0.5 %.
 
     Attributes:
-        error: Relative error; 0.005 reads 0.5 % too much.
+        error: Relative error; 0.005 means that readings are 0.5 % too large.
     """
 
     kind: ClassVar[str] = "plate_gain"
@@ -34,6 +34,6 @@ class PlateGain(PlateError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Channels times one plus their errors, (M, 6) [N, N m]."""
+        """Channels multiplied by `1 + error`, (M, 6) [N, N m]."""
         del time
         return (1 + values) * signal

@@ -15,16 +15,16 @@ from testbed.sensors.sensor_error import AddedWrench
 
 @dataclass(frozen=True)
 class PlateHum(AddedWrench):
-    """Mains hum: a sine in every channel, each with another phase.
+    """Mains hum: a sine wave in every channel, with different phases.
 
-    Source    50 Hz: frequency of the mains in Europe and most of Asia and Africa (60 Hz in
-        America); as much as the bias.
+    Source    50 Hz is the mains frequency in Europe and most of Asia and Africa (60 Hz in
+        America); the amplitude is equal to the bias.
 
     Attributes:
         force: Amplitude of the forces [N].
         moment: Amplitude of the moments [N m].
         frequency: Frequency of the mains [Hz].
-        phase: Phase at time 0; drawn if left out [rad].
+        phase: Phase at time 0; drawn at random if omitted [rad].
     """
 
     kind: ClassVar[str] = "plate_hum"
@@ -34,7 +34,7 @@ class PlateHum(AddedWrench):
     phase: Annotated[PerChannel | None, RANDOM_PHASE] = None
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Sine of unit amplitude at the mains frequency, (M, 6)."""
+        """Sine wave of unit amplitude at the mains frequency, (M, 6)."""
         del signal, rng
         angle = 2 * np.pi * self.frequency * time[:, None] + np.asarray(
             self.phase or 0.0

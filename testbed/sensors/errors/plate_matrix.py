@@ -25,19 +25,19 @@ SENSITIVITIES = tuple(
     for reading in WRENCH_COMPONENTS
     for load in WRENCH_COMPONENTS
 )
-"""Coefficients row by row: `gain/Fz` is the reading of Fz per unit of that force,
-`crosstalk/Fx/Fz` the reading of Fx per unit of Fz."""
+"""Coefficients row by row: `gain/Fz` is the reading of channel Fz per unit of the force Fz, and
+`crosstalk/Fx/Fz` is the reading of channel Fx per unit of the force Fz."""
 
 
 @dataclass(frozen=True)
 class PlateMatrix(PlateError):
-    """Sensitivity matrix of the plate, with all gains and crosstalk: reading = matrix times wrench.
+    """Sensitivity matrix of the plate, with gains and crosstalk: `reading = matrix @ wrench`.
 
-    Source    The calibration matrix of six-component sensors.
+    Source    Calibration matrix of six-component sensors.
 
     Attributes:
-        gain: Gain of all channels if no matrix is given.
-        matrix: Six rows of six numbers, a row for each reading.
+        gain: Gain of all channels, used if no matrix is given.
+        matrix: Six rows of six numbers, one row per reading.
     """
 
     kind: ClassVar[str] = "plate_matrix"
@@ -58,7 +58,7 @@ class PlateMatrix(PlateError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Matrix times the wrench, (M, 6) [N, N m]."""
+        """Product of the sensitivity matrix and the wrench, (M, 6) [N, N m]."""
         del time
         return signal @ values.reshape(6, 6).T
 
@@ -72,12 +72,12 @@ class PlateMatrix(PlateError):
 
     @classmethod
     def columns_from_measured(cls, predicted: PredictedWrench) -> Array:
-        """Columns from the predicted wrench: the measured channels are mixed."""
+        """Columns from the predicted wrench, because the measured channels are mixed."""
         return cls.regressor_columns(predicted)
 
     @classmethod
     def corrected_signal(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Inverse matrix times the reading, (M, 6) [N, N m]."""
+        """Product of the inverse sensitivity matrix and the reading, (M, 6) [N, N m]."""
         del time
         return np.asarray(signal @ cls.unmixing_matrix(values).T)
 

@@ -17,7 +17,8 @@ from testbed.sensors.sensor_error import AddedWrench
 class PlateNoise(AddedWrench):
     """White noise on the plate's channels, in addition to `measurement.force_noise`.
 
-    Source    Our own choice: the noise of experiments/table6.toml, of a plate for 1 kN.
+    Source    Our own choice: the noise in experiments/table6.toml, for a plate with a range of
+        1 kN.
 
     Attributes:
         force: Standard deviation of the forces [N].

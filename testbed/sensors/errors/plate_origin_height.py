@@ -1,4 +1,4 @@
-"""Height error of the plate's origin."""
+"""Error in the height of the plate's origin."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from testbed.sensors.systematic_error import Coefficient, PlateError
 
 @dataclass(frozen=True)
 class PlateOriginHeight(PlateError):
-    """Origin of the plate's moments above the origin of the bedplate.
+    """Height of the origin of the plate's moments above the origin of the bedplate.
 
-    Source    Force plates state moments about a point some centimetres below their surface.
+    Source    Force plates output moments about a point some centimetres below their surface.
 
     Attributes:
         height: Height of the plate's origin above the bedplate's origin [m].

@@ -15,14 +15,14 @@ from testbed.sensors.sensor_error import AddedWrench, sampling_time
 
 @dataclass(frozen=True)
 class PlatePinkNoise(AddedWrench):
-    """Pink noise of spectral density 1/f, as of amplifiers; constant below `lowest`.
+    """Pink noise, with a spectral density of 1/f as in amplifiers; constant below `lowest`.
 
-    Source    Our own choice: as much as the white noise of experiments/table6.toml.
+    Source    Our own choice: the same size as the white noise of experiments/table6.toml.
 
     Attributes:
         force: Standard deviation of the forces [N].
         moment: Standard deviation of the moments [N m].
-        lowest: Frequency below which the density is constant [Hz].
+        lowest: Frequency below which the spectral density is constant [Hz].
     """
 
     kind: ClassVar[str] = "plate_pink_noise"

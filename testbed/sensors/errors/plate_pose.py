@@ -17,10 +17,10 @@ from testbed.sensors.systematic_error import Coefficient, PlateError
 
 @dataclass(frozen=True)
 class PlatePose(PlateError):
-    """Rotation and translation of the plate against the bedplate frame.
+    """Rotation and translation of the plate relative to the bedplate frame.
 
-    The plate's frame has the origin p and the axes R, both in the bedplate frame; the reading is
-    R^T F and R^T (M - p x F), for robot and tare alike.
+    The frame of the plate has the origin p and the axes R, both in the bedplate frame. The reading
+    is R^T F and R^T (M - p x F), for the robot as well as for the tare.
 
     Source    Alignment with square and ruler: 0.2 degrees, 1 mm.
 
@@ -42,14 +42,14 @@ class PlatePose(PlateError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench in the plate's frame P, from the bedplate's frame B, (M, 6) [N, N m]."""
+        """Wrench in the plate frame P, from that in the bedplate frame B, (M, 6) [N, N m]."""
         del time
         X_BP = Transform(rotvec_to_matrix(values[:3]), values[3:])
         return np.asarray(X_BP.inverse.wrench(signal))
 
     @classmethod
     def corrected_signal(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench in the bedplate's frame B, from the plate's frame P, (M, 6) [N, N m]."""
+        """Wrench in the bedplate frame B, from that in the plate frame P, (M, 6) [N, N m]."""
         del time
         X_BP = Transform(rotvec_to_matrix(values[:3]), values[3:])
         return np.asarray(X_BP.wrench(signal))
@@ -58,7 +58,7 @@ class PlatePose(PlateError):
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
         """Derivative with respect to rotation and translation, at zero, (M, 6, 6).
 
-        Cross products of force and moment with the axes.
+        The columns are cross products of force and moment with the axes.
         """
         del time, neutral
         force, moment = signal[:, :3], signal[:, 3:]

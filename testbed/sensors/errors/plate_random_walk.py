@@ -15,13 +15,13 @@ from testbed.sensors.sensor_error import AddedWrench
 
 @dataclass(frozen=True)
 class PlateRandomWalk(AddedWrench):
-    """Random walk of the zero, from zero at time 0.
+    """Random walk of the plate's zero, starting from zero at time 0.
 
-    Source    Our own choice: after a second it is where the drift of 0.05 N/s would be.
+    Source    Our own choice: after one second, as large as a drift of 0.05 N/s.
 
     Attributes:
-        force: Standard deviation of the forces after a second [N/sqrt(s)].
-        moment: Standard deviation of the moments after a second [N m/sqrt(s)].
+        force: Standard deviation of the forces after one second [N/sqrt(s)].
+        moment: Standard deviation of the moments after one second [N m/sqrt(s)].
     """
 
     kind: ClassVar[str] = "plate_random_walk"

@@ -17,10 +17,10 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 class PlateSaturation(SensorError):
     """Saturation: channels clipped to a range smaller than the motion's range.
 
-    The range is a fraction of each channel's range in this recording, about its middle: amplifiers
-    are set to zero with the robot on the plate.
+    The range is a fraction of each channel's range in this recording, centred on the middle of that
+    range, because amplifiers are set to zero with the robot on the plate.
 
-    Source    A range chosen for nine tenths of the motion.
+    Source    A range that was chosen for nine tenths of the range of the motion.
 
     Attributes:
         covered: Fraction of the range between smallest and largest value.

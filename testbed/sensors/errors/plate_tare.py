@@ -14,9 +14,9 @@ from testbed.sensors.systematic_error import Coefficient, channel_coefficients
 class PlateTare(PlateBias):
     """Constant wrench in addition to the stated tare, in all recordings with the pedestal.
 
-    To a plate that does not move it is the same as a bias.
+    For a plate that does not move, this error is equivalent to a bias.
 
-    Source    Our own choice: as much as the bias.
+    Source    Our own choice: the same size as the bias.
 
     Attributes:
         force: Additional force [N].
@@ -30,6 +30,6 @@ class PlateTare(PlateBias):
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
-        """Constants of the plate's channels, (6,)."""
+        """Coefficients of the constant wrench, one per channel of the plate, (6,)."""
         del tree
         return cls.fixed

@@ -13,7 +13,7 @@ from testbed.sensors.systematic_error import Coefficient, SystematicError
 
 
 class SamplingRate(SystematicError):
-    """Relative error of the sampling time stated by the time stamps; velocities scale with it."""
+    """Relative error of the sampling time in the time stamps, which scales all velocities."""
 
     kind: ClassVar[str] = "sampling_rate"
     remedy: ClassVar[str] = "count the samples of a known time, and look for lost ones"
@@ -27,7 +27,8 @@ class SamplingRate(SystematicError):
     def regressor_columns(cls, predicted: PredictedWrench) -> Array:
         """Derivative of the residual wrench with respect to the rate error, (rows, 6, 1).
 
-        Velocities change by the error, accelerations by twice the error.
+        The relative change of the velocities is the error, that of the accelerations twice the
+        error.
         """
         qd, qdd = predicted.motion.qd, predicted.motion.qdd
         derivatives = (

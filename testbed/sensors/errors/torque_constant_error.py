@@ -14,12 +14,12 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 @dataclass(frozen=True)
 class TorqueConstantError(SensorError):
-    """Gain error of reported torques, from wrong torque constants.
+    """Gain error of the reported torques, caused by wrong torque constants.
 
-    Source    Tolerances of motors' torque constants in data sheets: 5 to 10 %.
+    Source    Tolerances of the torque constants of motors in data sheets: 5 to 10 %.
 
     Attributes:
-        error: Relative error: 0.08 reports 8 % too much.
+        error: Relative error; 0.08 means that reported torques are 8 % too large.
     """
 
     kind: ClassVar[str] = "torque_constant_error"
@@ -28,6 +28,6 @@ class TorqueConstantError(SensorError):
     error: Annotated[PerJoint, RANDOM_SIGN] = 0.05
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Torques times one plus the errors, (M, n) [N m or N]."""
+        """Torques multiplied by `1 + error`, (M, n) [N m or N]."""
         del time, rng
         return (1 + joint_array(self.error)) * signal

@@ -17,7 +17,7 @@ class TorqueOffset(SensorError):
     """Constant offset of the reported torques.
 
     Source    Zero error of Hall-effect current sensors in data sheets: 0.5 to 1 % of their
-        range, of joints of 100 N m.
+        range, for joints with a torque range of 100 N m.
 
     Attributes:
         error: Offset [N m or N].

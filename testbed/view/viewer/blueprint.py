@@ -27,8 +27,8 @@ TimeWindow = tuple[float, float]
 def runs_blueprint(scenes: Sequence[Scene]) -> rrb.Blueprint:
     """Layout for runs: robots on the left, plots over time in tabs on the right.
 
-    Several robots are stacked, and each run has a tab of tabs. The initial time window is that of
-    the first run.
+    Several robots are placed above each other. Each run has a tab that contains its own tabs. The
+    initial time window is that of the first run.
 
     Args:
         scenes: Runs to display.
@@ -52,7 +52,7 @@ def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
     Args:
         name: Name of the run.
         tree: The robot.
-        size: Length that sets the distance of the camera, such as the reach [m].
+        size: Length that sets the camera distance, such as the reach of the robot [m].
     """
     wrench = [
         _time_plot(f"/wrench/{c}", f"{c} [{u}]")
@@ -75,11 +75,13 @@ def motion_blueprint(
 ) -> rrb.Blueprint:
     """Layout for a motion: robot and tip paths, margins to limits, joints, notes.
 
+    There is one plot of margins per kind of limit.
+
     Args:
         name: Name of the motion.
         tree: The robot.
-        size: Length that sets the distance of the camera, such as the reach [m].
-        kinds: Labels of the kinds of limits, one plot each, for the titles.
+        size: Length that sets the camera distance, such as the reach of the robot [m].
+        kinds: Labels of the kinds of limits, for the titles of the plots.
         period: Period of the motion [s].
     """
     window = (0.0, period)
@@ -124,10 +126,10 @@ def _layout(
     """Layout of two halves, with the viewer's panels collapsed.
 
     Args:
-        left: Views of the left half.
-        right: Views of the right half.
+        left: Views in the left half.
+        right: Views in the right half.
         name: Name of the layout.
-        window: Initial time window [s]; None for the whole time.
+        window: Initial time window [s]; None for the entire time.
     """
     selection = None
     if window is not None:
@@ -154,7 +156,7 @@ def _robot_view(
 
     Args:
         name: Name of the run or motion.
-        size: Length that sets the distance of the camera, such as the reach [m].
+        size: Length that sets the camera distance, such as the reach of the robot [m].
         parent: Entity path of the run.
         content: Content of the view, for the title.
     """
@@ -201,16 +203,16 @@ def _joint_tab(
 
 
 def _plot_stack(rows: Sequence[rrb.View | rrb.Container], name: str) -> rrb.Container:
-    """Plots in one column, or in a grid with at most MAX_ROWS plots per column."""
+    """Plots in one column, or in a grid with at most `MAX_ROWS` plots per column."""
     if len(rows) <= MAX_ROWS:
         return rrb.Vertical(*rows, name=name)
     return rrb.Grid(*rows, grid_columns=-(-len(rows) // MAX_ROWS), name=name)
 
 
 def _channel_row(scene: Scene, channel: Channel, parent: str) -> rrb.Horizontal:
-    """Row with the plot of a channel's signals and the plot of residuals.
+    """Row with a plot of a channel's signals and a plot of its residuals.
 
-    Without predictions there is no plot of residuals. Only the first channel has a legend.
+    The plot of residuals is left out without predictions. Only the first channel has a legend.
     """
     plots = {entity(parent, channel): channel.name}
     if channel.residuals:
@@ -232,8 +234,8 @@ def _time_plot(
     Args:
         origin: Entity path of the curves.
         name: Title of the plot.
-        window: Initial time window [s]; None for the whole time.
-        legend: True for a visible legend.
+        window: Initial time window [s]; None for the entire time.
+        legend: True to show the legend.
     """
     axis = None
     if window is not None:

@@ -28,7 +28,8 @@ MIN_LINE_WIDTH, LINE_WIDTH_STEP = 1.0, 1.4
 def log_signals(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
     """Log joint positions, and measured and predicted torques and wrench, over time.
 
-    With identified drives, the friction torque of each joint by its friction curve is logged too.
+    For identified drives, the friction torque of each joint according to its friction curve is
+    logged, too.
 
     Args:
         stream: Stream of the recording.
@@ -54,7 +55,7 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
 
 
 def log_residuals(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
-    """Log measured minus predicted torques and wrench over time, low-pass filtered.
+    """Log low-pass filtered residuals `measured - predicted` of torques and wrench over time.
 
     Args:
         stream: Stream of the recording.
@@ -74,15 +75,15 @@ def log_series(
     curves: Mapping[Any, Array],
     colours: Sequence[int] | NDArray[np.uint32] | None = None,
 ) -> None:
-    """Log the curves of one plot over time, reduced to extremes of intervals.
+    """Log the curves of one plot over time, reduced to their extremes in time intervals.
 
     Args:
         stream: Stream of the recording.
         path: Entity path of the plot.
         time: Evenly spaced times, (M,) [s].
-        curves: Values by label, (M,) each.
-        colours: Colours of the curves; default the colours of the labels in `COLOURS`, with wider
-            lines for earlier curves, which later curves cover.
+        curves: Values keyed by label, (M,) each.
+        colours: Colours of the curves; default the colours of the labels in `COLOURS`. Earlier
+            curves have wider lines, since later curves cover them.
     """
     widths = None
     if colours is None:
@@ -117,9 +118,9 @@ def send_values(
 
 
 def interval_extremes(time: Array, values: Array) -> tuple[Array, Array]:
-    """Minimum and maximum of signals in intervals of 1 / `INTERVAL_RATE`, in order of time.
+    """Minima and maxima of signals in intervals of 1 / `INTERVAL_RATE`, in order of time.
 
-    The two values are placed at the ends of the interval, which is exact for monotonic signals.
+    The two values are assigned to the ends of the interval, which is exact for monotonic signals.
 
     Args:
         time: Evenly spaced times, (M,) [s].

@@ -36,13 +36,13 @@ NO_STATISTICS = {"CI": "1"}
 
 
 def become_viewer(path: Path) -> NoReturn:
-    """Replace this process by the Rerun viewer with a file.
+    """Replace this process by the Rerun viewer, which opens a file.
 
     Args:
         path: The .rrd file.
 
     Raises:
-        ViewerError: There is no viewer, or no screen.
+        ViewerError: The viewer is not installed, or there is no screen.
     """
     if not has_screen():
         raise ViewerError(
@@ -53,13 +53,13 @@ def become_viewer(path: Path) -> NoReturn:
 
 
 def start_viewer(path: Path) -> None:
-    """Start the Rerun viewer with a file as a separate process.
+    """Start the Rerun viewer as a separate process that opens a file.
 
     Args:
         path: The .rrd file.
 
     Raises:
-        ViewerError: There is no viewer, or no screen.
+        ViewerError: The viewer is not installed, or there is no screen.
     """
     program = viewer_program()
     if program is None or not has_screen():
@@ -71,7 +71,7 @@ def start_viewer(path: Path) -> None:
 
 
 def serve_viewer(path: Path, port: int) -> NoReturn:
-    """Replace this process by a local web server of the Rerun viewer with a file.
+    """Replace this process by a local web server with a file in the Rerun viewer.
 
     Args:
         path: The .rrd file.
@@ -88,7 +88,7 @@ def _replace_process(command: list[str]) -> NoReturn:
     """Replace this process by the program 'rerun'.
 
     Args:
-        command: Arguments of the program, with its name first.
+        command: Name and arguments of the program.
 
     Raises:
         ViewerError: The program is not installed.
@@ -103,7 +103,7 @@ def _replace_process(command: list[str]) -> NoReturn:
 
 
 def _environment() -> dict[str, str]:
-    """Environment of this process, with Rerun's usage statistics switched off."""
+    """Environment variables of this process, with Rerun's usage statistics switched off."""
     return {
         k: v for k, v in os.environ.items() if k != "FORCE_RERUN_ANALYTICS"
     } | NO_STATISTICS
@@ -112,14 +112,17 @@ def _environment() -> dict[str, str]:
 def viewer_program() -> str | None:
     """Path of the program 'rerun'; None if it is not installed.
 
-    The program of this Python is preferred to that on the search path.
+    The program installed with this Python takes precedence over a program on the search path.
     """
     program = Path(sys.executable).parent / "rerun"
     return str(program) if program.is_file() else shutil.which("rerun")
 
 
 def has_screen() -> bool:
-    """True if windows can be opened; on Linux only with a display in the environment."""
+    """Test whether windows can be opened.
+
+    On Linux, this requires a display in the environment.
+    """
     linux = sys.platform.startswith("linux")
     return not linux or bool(
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -133,10 +136,10 @@ DEFAULT_PORT = 9876
 
 
 class LiveViewer:
-    """Callback that sends a running simulation to an open Rerun viewer.
+    """Callback that sends the states of a running simulation to an open Rerun viewer.
 
     The simulation calls it with consecutive blocks of samples. Poses and arrows are sent at
-    `POSE_RATE`, wrench, torques and positions with all samples.
+    `POSE_RATE`; wrench, torques and positions are sent with all samples.
     """
 
     def __init__(
@@ -144,7 +147,7 @@ class LiveViewer:
     ) -> None:
         """Connect to a viewer on this computer, and display the robot.
 
-        Arrow lengths are scaled by the robot's weight, of at least 1e-3 kg at 1 m/s^2.
+        The lengths of the arrows are scaled by the robot's weight, for at least 1e-3 kg at 1 m/s^2.
 
         Args:
             name: Name of the run.
@@ -152,7 +155,7 @@ class LiveViewer:
             port: Port of the viewer.
 
         Raises:
-            ViewerError: No viewer listens on the port.
+            ViewerError: There is no viewer on the port.
         """
         try:
             socket.create_connection((LOOPBACK, port), 1.0).close()

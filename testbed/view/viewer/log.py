@@ -63,15 +63,16 @@ def write_motion_rrd(
 ) -> None:
     """Write one period of a motion as a Rerun recording.
 
-    Robot, paths of the tips, obstacles, joint curves, margins to limits and notes are logged.
+    Logged are the robot, the paths of its tips, obstacles, joint curves, margins to limits and
+    notes.
 
     Args:
-        path: The .rrd file; appears complete or not at all.
+        path: The .rrd file; it is written completely or not at all.
         motion: The motion.
         rules: Limits of the motion.
         proof: Proven margins to the limits.
         appearance: Shapes of the robot.
-        obstacles: Boxes of the robot's cell.
+        obstacles: Boxes in the robot's workspace.
     """
     tree = rules.tree
     times = np.linspace(0, motion.period, max(2, round(POSE_RATE * motion.period)) + 1)
@@ -98,7 +99,7 @@ def write_motion_rrd(
 
 
 def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Shape, ...]) -> None:
-    """Log the obstacles, boxes along the world axes, as "/world/obstacles"."""
+    """Log the obstacles as boxes along the world axes, at "/world/obstacles"."""
     if not obstacles:
         return
     boxes = rr.Boxes3D(
@@ -116,14 +117,14 @@ def _log_motion_curves(
     times: Array,
     margins: list[Slack],
 ) -> None:
-    """Log margins to limits and joint positions, velocities, accelerations over time.
+    """Log margins to limits, and joint positions, velocities and accelerations over time.
 
     Args:
         stream: Stream of the recording.
         rules: Limits of the motion.
         motion: The motion.
         times: Instants, (M,) [s].
-        margins: Smallest margin over time, one entry per kind of limit.
+        margins: Smallest margin over time, one per kind of limit.
     """
     for k, kind in enumerate(margins):
         log_series(
@@ -163,7 +164,7 @@ def write_runs_rrd(scenes: Sequence[Scene], path: Path) -> None:
 
     Args:
         scenes: Runs, displayed side by side.
-        path: The .rrd file; appears complete or not at all.
+        path: The .rrd file; it is written completely or not at all.
     """
     with _recording_stream(path, runs_blueprint(scenes)) as stream:
         for k, scene in enumerate(scenes):
@@ -174,13 +175,13 @@ def write_runs_rrd(scenes: Sequence[Scene], path: Path) -> None:
 def _recording_stream(
     path: Path, layout: rrb.Blueprint
 ) -> Iterator[rr.RecordingStream]:
-    """Context manager of a stream in memory, written to a file at the end.
+    """Context manager for a stream in memory, which is written to a file on exit.
 
-    After an error in the block, no file is written. Rerun's file writer is not used: it blocks on a
-    full disk.
+    If an error occurs in the block, no file is written. Rerun's own file writer is not used, since
+    it blocks when the disk is full.
 
     Args:
-        path: The .rrd file; appears complete or not at all.
+        path: The .rrd file; it is written completely or not at all.
         layout: Initial layout of the viewer.
     """
     stream = rr.RecordingStream(
@@ -218,20 +219,20 @@ def view(
     *estimates: Estimate | Information,
     path: str | Path | None = None,
 ) -> Path:
-    """Open the Rerun viewer with a robot, measured signals and predictions by estimates.
+    """Open the Rerun viewer with a robot, measured signals, and predictions from estimates.
 
     Args:
         data: A recording; or a run, its folder, or a sequence of these.
         *estimates: Estimates of the recording's robot; ignored for runs.
-        path: The .rrd file to write without opening the viewer; default a temporary file, which the
-            viewer displays while Python continues.
+        path: The .rrd file, to write it without opening the viewer. By default a temporary file is
+            displayed in a viewer that runs in parallel with Python.
 
     Returns:
         The .rrd file.
 
     Raises:
         ExperimentError: A folder contains no run.
-        ViewerError: There is no viewer, or no screen.
+        ViewerError: The viewer is not installed, or there is no screen.
     """
     runs = run_from_estimates(data, *estimates) if isinstance(data, Recording) else data
     sources = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)

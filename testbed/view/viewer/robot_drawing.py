@@ -25,7 +25,7 @@ MAX_ARROW_SHARE = 0.5
 
 
 def clock(time: Array) -> rr.TimeColumn:
-    """Column of times for Rerun, on the timeline `TIMELINE`.
+    """Rerun column of times on the timeline `TIMELINE`.
 
     Args:
         time: Times, (M,) [s].
@@ -34,7 +34,7 @@ def clock(time: Array) -> rr.TimeColumn:
 
 
 def log_robot(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
-    """Log shapes, joint axes and poses of a robot, and paths of the tips.
+    """Log shapes, joint axes and poses of a robot, and the paths of its tips.
 
     Args:
         stream: Stream of the recording.
@@ -58,7 +58,7 @@ def log_tip_paths(
     body_poses: list[Transform],
     parent: str,
 ) -> None:
-    """Log the paths of the robot's tips (points of the terminal bodies) as lines.
+    """Log the paths of the robot's tips, which are points on terminal bodies, as lines.
 
     Args:
         stream: Stream of the recording.
@@ -76,10 +76,11 @@ def log_tip_paths(
 
 
 def log_ellipsoids(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
-    """Log links as ellipsoids of uniform density: model file, estimate, and truth if known.
+    """Log the links as ellipsoids of uniform density.
 
-    An ellipsoid has the mass, centre of mass and inertia of its link; impossible bodies are left
-    out. Nothing is logged for a run without consistent bodies.
+    An ellipsoid has the mass, centre of mass and inertia of its link, from the model file, from the
+    estimate, and, if known, from the truth. Bodies that are physically impossible are left out.
+    Nothing is logged for a run without consistent bodies.
 
     Args:
         stream: Stream of the recording.
@@ -115,7 +116,7 @@ def log_ellipsoids(stream: rr.RecordingStream, scene: Scene, parent: str) -> Non
 def log_appearance(
     stream: rr.RecordingStream, appearance: Appearance, parent: str
 ) -> None:
-    """Log the shapes and joint axes of a robot, which are static in body frames.
+    """Log the shapes and joint axes of a robot, which are fixed in body frames.
 
     Args:
         stream: Stream of the recording.
@@ -161,7 +162,7 @@ def send_poses(
         parent: Entity path of the world.
 
     Returns:
-        Pose of each body at all M instants, n transforms.
+        Poses of the n bodies, each with M instants.
     """
     body_poses = poses(appearance.tree, q)
     for j, X_WB in enumerate(body_poses):
@@ -191,7 +192,7 @@ def send_arrows(
         appearance: Shapes of the robot and its plate.
         time: Times, (M,) [s].
         wrench: Measured wrench, force first, along world axes, (M, 6) [N, N m].
-        scales: Arrow lengths of a newton and of a newton metre, (2,) [m].
+        scales: Arrow lengths per newton and per newton metre, (2,) [m].
         parent: Entity path of the bedplate.
         places: Origins of the arrows, (M, 3) [m]; default a point beside the plate.
     """
@@ -210,9 +211,9 @@ def send_arrows(
 def log_wrench(stream: rr.RecordingStream, scene: Scene, parent: str) -> None:
     """Log the measured wrench as arrows, and the centre of pressure on a plate.
 
-    The arrows are at the sensor, or beside the plate, and show block means at the rate of poses;
-    the largest force and moment have `MAX_ARROW_SHARE` of the reach. Nothing is logged without a
-    wrench.
+    The arrows start at the sensor, or beside the plate. They show averages over blocks of samples,
+    at the rate of the poses. The largest force and the largest moment have an arrow length of
+    `MAX_ARROW_SHARE` times the reach. Nothing is logged if no wrench was measured.
 
     Args:
         stream: Stream of the recording.
@@ -243,16 +244,16 @@ def _log_pressure(
     points: Array,
     parent: str,
 ) -> None:
-    """Log the centre of pressure and its trace on the plate's upper side.
+    """Log the centre of pressure and its path on the top of the plate.
 
-    Points are omitted, and the trace interrupted, where a coordinate exceeds three times the
+    Points are omitted, and the path is interrupted, where a coordinate exceeds three times the
     plate's clear corner or the robot's reach, whichever is larger.
 
     Args:
         stream: Stream of the recording.
         appearance: Shapes of the robot and its plate.
         time: Times, (M,) [s].
-        points: Centre of pressure on the plane z = 0, (M, 2) [m]; nan where there is none.
+        points: Centre of pressure in the plane z = 0, (M, 2) [m]; nan where undefined.
         parent: Entity path of the bedplate.
     """
     max_distance = 3 * max(
@@ -308,7 +309,7 @@ def _rerun_archetype(shape: Shape) -> Any:
 
 
 def quaternions(rotation: Array) -> Array:
-    """Quaternions x, y, z, w with w >= 0 of rotation matrices, (M, 4) or (4,).
+    """Quaternions (x, y, z, w) with w >= 0 of rotation matrices, (M, 4) or (4,).
 
     Args:
         rotation: Rotation matrices, (M, 3, 3) or (3, 3).

@@ -31,10 +31,10 @@ RESIDUAL_CUTOFF = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Contents of one run for the viewer.
+    """Content of one run for the viewer.
 
     Attributes:
-        predictions: Measured signals of the run's recording, and predictions by the estimates.
+        predictions: Measured signals of the run's recording, and predictions from the estimates.
         appearance: Shapes of the robot.
     """
 
@@ -43,7 +43,7 @@ class Scene:
 
     @property
     def run(self) -> Run:
-        """Run with recording and estimates."""
+        """Run with the recording and the estimates."""
         return self.predictions.run
 
     @property
@@ -53,7 +53,7 @@ class Scene:
 
     @property
     def motion(self) -> Motion:
-        """Filtered motion of the recording, without the ends lost to filters."""
+        """Filtered motion of the recording; the ends lost to filters are excluded."""
         return self.predictions.motion
 
     @property
@@ -72,7 +72,8 @@ class Scene:
     def wrench(self) -> Array | None:
         """Measured wrench over the motion, (M, 6) [N, N m]; None if not recorded.
 
-        Force first; by the plate about the bedplate's origin, by a force sensor in its frame.
+        The force comes first. The wrench of the plate is about the bedplate's origin; that of a
+        force sensor is in the sensor's frame.
         """
         channels = self.predictions.channels
         columns = [each.measured for each in channels if each.kind == "wrench"]
@@ -80,7 +81,7 @@ class Scene:
 
     @cached_property
     def max_distance(self) -> float:
-        """Largest distance of the robot from the bedplate's origin [m]; at least 0.3."""
+        """Largest distance of the robot from the bedplate's origin, at least 0.3 m [m]."""
         return max_distance_from_origin(
             self.appearance, self.motion.q[self.pose_samples]
         )
@@ -118,7 +119,7 @@ class Scene:
 
 
 def build_scene(run: Run) -> Scene:
-    """Build the contents of a run for the viewer: predictions and shapes.
+    """Build the content of a run for the viewer: predictions and shapes.
 
     Args:
         run: The run.
@@ -128,9 +129,9 @@ def build_scene(run: Run) -> Scene:
 
 
 def max_distance_from_origin(appearance: Appearance, q: Array) -> float:
-    """Largest distance of a robot from the bedplate's origin [m]; at least 0.3.
+    """Largest distance of a robot from the bedplate's origin, at least 0.3 m [m].
 
-    Body origins and tips are considered.
+    The origins of the bodies and the tips are considered.
 
     Args:
         appearance: Shapes of the robot.
@@ -147,7 +148,7 @@ def max_distance_from_origin(appearance: Appearance, q: Array) -> float:
 
 
 def run_entity_path(k: int, count: int) -> str:
-    """Entity path of the k-th of several runs; "" for a single run.
+    """Entity path of the k-th run; "" if there is only one run.
 
     Args:
         k: Index of the run.
@@ -157,15 +158,15 @@ def run_entity_path(k: int, count: int) -> str:
 
 
 def escaped_path_part(name: str) -> str:
-    """Name of a joint or parameter, escaped as one part of an entity path."""
+    """Name of a joint or parameter, escaped for use in an entity path."""
     return str(rr.escape_entity_path_part(name))
 
 
 def entity(parent: str, channel: Channel) -> str:
-    """Entity path of a channel's time series below a parent path.
+    """Entity path of a channel's time series.
 
     Args:
-        parent: Entity path above the channel.
+        parent: Entity path under which the channel is placed.
         channel: The channel.
     """
     return f"{parent}/{channel.kind}/{escaped_path_part(channel.name)}"
@@ -177,9 +178,10 @@ def escaped_markdown(text: str) -> str:
 
 
 def pressure(wrench: Array) -> Array:
-    """Centre of pressure on the bedplate's plane z = 0, (M, 2) [m].
+    """Centre of pressure in the bedplate's plane z = 0, (M, 2) [m].
 
-    nan where Fz is below `MIN_PRESSING_SHARE` of the largest force component over time.
+    It is nan where Fz is below the fraction `MIN_PRESSING_SHARE` of the largest force component
+    over time.
 
     Args:
         wrench: Wrench of the bedplate on the robot, about the bedplate's origin, (M, 6) [N, N m].
@@ -193,7 +195,7 @@ def pressure(wrench: Array) -> Array:
 
 
 def block_means(signal: Array, size: int) -> Array:
-    """Means of consecutive blocks of samples, (blocks, k).
+    """Means of a signal over consecutive blocks of samples, (blocks, k).
 
     Args:
         signal: Signal, (M, k).

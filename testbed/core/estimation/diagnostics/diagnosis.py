@@ -40,23 +40,23 @@ class Thresholds:
 
     Attributes:
         relative_sigma: Sigma relative to a parameter, above which the parameter is uncertain.
-        small_sigma: Sigma relative to its unit's largest parameter, below which it is negligible.
+        small_sigma: Sigma relative to the largest parameter of its unit, below which it is small.
         max_condition: Condition number of the scaled equations, above which there is a warning.
         negative_share: Largest tolerated negative mass or friction, relative to weight or torque.
         weight_difference: Relative difference of two weights that should be equal.
         relative_residual: Relative residual of a channel, above which it is poorly explained.
         useless_residual: Relative residual above which a prediction is worse than zero.
-        outlier_ratio: Residual relative to the smallest residual of the channels of the same unit.
-        noise_share: Noise of a moment relative to the weight's moment at full reach.
+        outlier_ratio: Residual relative to the smallest of its unit, above which it is an outlier.
+        noise_share: Noise of a moment relative to the moment of the weight at full arm length.
         correlation: Squared correlation above which signal and prediction differ by a factor only.
         factor_error: Difference of that factor from one, above which it is the cause.
         min_values_per_unknown: Smallest number of values per unknown for valid standard deviations.
         outside_range: Fraction of a joint's range by which its encoder may exceed the range.
         max_effort_ratio: Largest possible ratio of a measured torque to the motor's maximum.
         extreme_share: Fraction of the samples at one extreme value, above which it is saturated.
-        extreme_ratio: Number of samples at the extreme value relative to the next value, at a stop.
+        extreme_ratio: Ratio of samples at an extreme to those at the next value, if saturated.
         min_repeats: Smallest number of repeated samples that is reported.
-        repeats_ratio: Largest tolerated ratio of repeated samples to their number by chance.
+        repeats_ratio: Largest tolerated ratio of repeated samples to those expected by chance.
     """
 
     relative_sigma: float = 0.3
@@ -96,10 +96,11 @@ MISFIT_CAUSES: Mapping[Signal, tuple[str, ...]] = {
 def diagnostics(
     estimate: Estimate, problem: Problem, survey: Survey
 ) -> tuple[Diagnostic, ...]:
-    """Diagnostics of the faults of a recording that one method's data reveal.
+    """Diagnostics of the faults of a recording that the data of one method reveal.
 
-    Number of values, encoders, channels, repeated samples; tare and mass, or motor limits and
-    friction; residuals; and, if mass or friction is not negative, the test of rigid bodies.
+    They cover the number of values, encoders, channels and repeated samples; tare and mass, or
+    motor limits and friction; residuals; and, unless mass or friction is negative, the test of
+    rigid bodies.
 
     Args:
         estimate: Estimate from the recording.
@@ -183,7 +184,7 @@ def _few_values_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 def _repeated_sample_diagnostics(
     estimate: Estimate, repeats: Repeats
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of repeated poses (over 10 %) and of whole samples (over tenfold by chance)."""
+    """Diagnostics of repeated poses (over 10 %) and repeated samples (over ten times chance)."""
     if repeats.repeated_poses > MAX_HELD_FRACTION * repeats.pairs:
         yield make_diagnostic(
             "encoder.held", "the poses", repeats.repeated_poses / repeats.pairs
@@ -236,7 +237,7 @@ def _encoder_diagnostics(tree: Tree, position: Array) -> Iterator[Diagnostic]:
 
 
 def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
-    """Likely causes of positions outside a range; first, if sufficient, a wrong unit or sign."""
+    """Likely causes of positions outside a range; a sufficient unit or sign error comes first."""
     least, greatest = joint.position_range
     factor = 180 / np.pi if joint.revolute else 1000.0
     converted = least <= low / factor and high / factor <= greatest
@@ -256,7 +257,7 @@ def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
 def _channel_diagnostics(
     estimate: Estimate, measured: Array, problem: Problem
 ) -> Iterator[Diagnostic]:
-    """Diagnostics of constant and saturated channels (1 % at a stop), except `channel_faults`."""
+    """Diagnostics of constant or saturated channels (1 % of samples), except `channel_faults`."""
     faulty_channels = {fault.name for fault in problem.channel_faults}
     for c, values in enumerate(measured.T):
         if estimate.channels[c] in faulty_channels:
@@ -285,7 +286,7 @@ def _channel_diagnostics(
 def _stop_fraction(values: Array, extreme: float) -> float:
     """Fraction of samples at an extreme value; 0 for a smooth peak.
 
-    A stop has over five times as many samples as the nearest other value.
+    A saturated extreme has over five times as many samples as the nearest other value.
     """
     distance = np.abs(values - extreme)
     other_distances = distance[distance > 0]
@@ -299,7 +300,7 @@ def _stop_fraction(values: Array, extreme: float) -> float:
 
 
 def _effort_diagnostics(tree: Tree, torque: Array) -> Iterator[Diagnostic]:
-    """Diagnostics of torques above twice the maximum of the joints' motors."""
+    """Diagnostics of torques above twice the maximum torque of the motors."""
     for joint, values in zip(tree.joints, torque.T, strict=True):
         greatest_torque = float(np.abs(values).max())
         if greatest_torque > THRESHOLDS.max_effort_ratio * joint.max_effort:
@@ -317,7 +318,7 @@ def _effort_diagnostics(tree: Tree, torque: Array) -> Iterator[Diagnostic]:
 
 
 def _tare_diagnostics(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
-    """Diagnostic of a tare that differs by over 50 % from the model's pedestal weight."""
+    """Diagnostic of a tare that differs by more than 50 % from the model's pedestal weight."""
     expected = pedestal_wrench(tree)[:3]
     largest_force = max(np.linalg.norm(expected), np.linalg.norm(tare[:3]))
     difference = float(np.linalg.norm(tare[:3] - expected))
@@ -339,8 +340,8 @@ def _mass_diagnostics(
 ) -> Iterator[Diagnostic]:
     """Diagnostic of a total mass that is negative, or differs from the mean measured weight.
 
-    Negative: by 5 sigma and 2 % of the weight. Different: by 5 sigma plus 50 %. No diagnostic
-    without gravity, or where the minimal parameters do not determine the total mass.
+    Thresholds are 5 sigma and 2 % of the weight (negative), or 5 sigma plus 50 % (different). There
+    is no diagnostic without gravity, or if the parameters do not determine the total mass.
     """
     base, gravity = estimate.base, float(np.linalg.norm(tree.gravity))
     try:
@@ -386,7 +387,7 @@ def _mass_diagnostics(
 
 
 def _friction_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Diagnostics of negative friction coefficients, beyond 5 sigma and 2 % of the torque's rms."""
+    """Diagnostics of friction coefficients below zero by 5 sigma and 2 % of the RMS torque."""
     equations, drives = estimate.normal_equations, estimate.drives
     if drives is None:
         return
@@ -414,8 +415,8 @@ def _friction_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 def _residual_diagnostics(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic]:
     """Diagnostics of channels that the model explains poorly although their signal is large.
 
-    Relative residual above 1.2; or above 0.2 and either over `_residual_limits` or over five times
-    the smallest residual of the same unit.
+    The relative residual exceeds 1.2, or it exceeds 0.2 and the residual exceeds `_residual_limits`
+    or five times the smallest residual of the same unit.
     """
     limits = _residual_limits(estimate, tree)
     for c, (share, residual) in enumerate(
@@ -439,8 +440,8 @@ def _residual_diagnostics(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic
 def _residual_limits(estimate: Estimate, tree: Tree) -> Array:
     """Largest acceptable residual of each channel, (C,) [N, N m]; infinite for joint torques.
 
-    Forces: 20 % of the largest rms force. Moments: 20 % of the largest rms moment or, if larger,
-    1 % of the moment of the largest force at full reach.
+    Limits are 20 % of the largest RMS force or moment; for moments, at least 1 % of the moment that
+    the largest force has at full arm length.
     """
     rms = estimate.normal_equations.rms
     if estimate.method == "torque":
@@ -457,7 +458,7 @@ def _residual_limits(estimate: Estimate, tree: Tree) -> Array:
 def _residual_diagnostic(estimate: Estimate, c: int, share: float) -> Diagnostic:
     """Diagnostic of a poorly explained channel: wrong scale factor, else large residual.
 
-    Scale: squared correlation with the prediction above 0.9, and a factor over 10 % off one.
+    A wrong scale factor differs from 1 by over 10 %, with a squared correlation above 0.9.
     """
     normal, right, square = estimate.normal_equations.of_channel(c)
     predicted = float(estimate.values @ normal @ estimate.values)
@@ -478,7 +479,7 @@ def _residual_diagnostic(estimate: Estimate, c: int, share: float) -> Diagnostic
 
 
 def _consistency_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Diagnostic of minimal parameters that no rigid bodies can have, by `rigid_body_test`."""
+    """Diagnostic of minimal parameters that no rigid bodies can have (`rigid_body_test`)."""
     test = rigid_body_test(estimate)
     if not test.impossible:
         return

@@ -1,4 +1,4 @@
-"""Diagnostics of model errors that the residuals of an estimate show."""
+"""Diagnostics of model errors detected in the residuals of an estimate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RESIDUAL_SUBJECTS = {
 def model_error_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     """Diagnostic of each detected model error: share of the residuals, treatment, remedy.
 
-    The share is that of the channel in which it is largest.
+    The share is given for the channel in which it is largest.
 
     Args:
         estimate: Estimate with its model errors.
@@ -55,8 +55,8 @@ MAX_CHANCE = 1e-6
 def repetition_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     """Diagnostic of residuals that repeat with the motion.
 
-    Reported if the p-value of the repetition is at most MAX_CHANCE (1e-6), and encoder noise does
-    not limit the estimate: errors by that noise repeat with the motion, too.
+    It is reported if the p-value of the repetition is at most MAX_CHANCE (1e-6) and encoder noise
+    does not limit the estimate, since errors due to this noise also repeat with the motion.
 
     Args:
         estimate: Estimate with the repeatable part of its residuals.
@@ -86,8 +86,9 @@ def repetition_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 def treatment(error: ModelErrorEstimate) -> str:
     """Treatment of a model error: "corrected", "named", "suspected" or "unexplained".
 
-    Unexplained: no physical law. Corrected: subtracted from the measurements. Named: significant
-    enough to be reported as the cause; suspected otherwise.
+    An error without a physical law is "unexplained". Other errors are "corrected" if they were
+    subtracted from the measurements, "named" if they are significant enough to be reported as the
+    cause, and "suspected" otherwise.
 
     Args:
         error: Model error of one family.
@@ -100,7 +101,7 @@ def treatment(error: ModelErrorEstimate) -> str:
 
 
 def coefficient_text(error: ModelErrorEstimate) -> str:
-    """Text of the most significant coefficients, with sigmas and units; "" for none.
+    """Text of the most significant coefficients, with sigmas and units; "" without coefficients.
 
     Args:
         error: Model error of one family.

@@ -16,7 +16,7 @@ SIGNIFICANCE_LEVEL = 1e-3
 
 
 def has_residual_noise(estimate: Estimate) -> bool:
-    """True if residuals exceed the attenuation of a noise-free motion by the low-pass filters.
+    """True if residuals exceed the effect of the low-pass filters on a noise-free motion.
 
     The limit is 1e-5 of the largest rms signal of all channels.
 
@@ -42,8 +42,9 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 def _encoder_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagnostic]:
     """Diagnostics of encoder noise and encoder resolution.
 
-    Noise: some parameters' columns are in large part encoder noise. Resolution: quantisation causes
-    more than 5 % of the whitened residuals' squares.
+    Encoder noise is reported if it makes up a large part of the columns of some parameters. Encoder
+    resolution is reported if quantisation causes more than 5 % of the whitened residuals' sum of
+    squares.
     """
     if noise.noise_limited:
         yield make_diagnostic(
@@ -63,8 +64,9 @@ def _encoder_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diag
 def _plate_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagnostic]:
     """Diagnostic of a significant offset of the plate, else of a drift that hides parameters.
 
-    Offset: constants of the channels with a p-value up to 1e-3. Drift: noise of a channel that is
-    correlated over half of the recording; hidden parameters are collinear with a constant.
+    An offset is significant if the constants of the channels have a p-value up to 1e-3. A drift is
+    noise of a channel that is correlated over half of the recording; it hides parameters that are
+    collinear with a constant.
     """
     hidden, verb = ", ".join(noise.hidden), "is" if len(noise.hidden) == 1 else "are"
     if noise.bias_chance <= SIGNIFICANCE_LEVEL:
@@ -107,9 +109,10 @@ def _plate_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagno
 
 
 def unidentifiable_beside_bias(noise: NoiseModel | None) -> tuple[str, ...]:
-    """Parameters that are not identifiable beside a significant offset or drift of the plate.
+    """Parameters that cannot be separated from a significant offset or drift of the plate.
 
-    () without an offset (p-value up to 1e-3) and drift (noise correlated over half the recording).
+    The result is empty if there is neither an offset (p-value up to 1e-3) nor a drift (noise
+    correlated over half the recording).
 
     Args:
         noise: Noise model of the residuals; None for white noise.
@@ -130,7 +133,7 @@ def p_value_text(p_value: float) -> str:
 def _drifting_channels(noise: NoiseModel) -> list[bool]:
     """True for each channel whose noise is correlated over half of the recording.
 
-    The slowest mode of its autoregression takes longer to decay to 1/e.
+    The slowest mode of such noise takes longer than half of the recording to decay to 1/e.
     """
     # correlation time relative to the recording, above which noise is a drift
     return [memory > 0.5 * noise.span for memory in noise.memory]

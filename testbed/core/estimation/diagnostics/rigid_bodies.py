@@ -1,4 +1,4 @@
-"""Test of physical consistency: nearest parameters of rigid bodies, by a conic program."""
+"""Test of physical consistency: nearest parameters of rigid bodies, from a conic program."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class RigidBodyTest:
     """Distance of an estimate from the parameters of physically consistent robots.
 
     Attributes:
-        distance: Smallest Mahalanobis distance; its covariance includes model errors.
-        limit: Largest distance that noise explains: root of a chi-squared quantile.
+        distance: Smallest Mahalanobis distance, for a covariance that includes model errors.
+        limit: Largest distance that noise explains, the square root of a chi-squared quantile.
         nearest: Minimal parameters of the nearest consistent robot, (N,).
         gap: Difference of each parameter from `nearest`, relative to its magnitude, (N,).
     """
@@ -59,13 +59,13 @@ def rigid_body_test(
 ) -> RigidBodyTest:
     """Test whether rigid bodies can have an estimate's minimal parameters.
 
-    Pseudo-inertias of rigid bodies are positive semidefinite. The cone of such parameters has a
-    separating plane at the largest distance from the estimate; that distance is compared with a
-    chi-squared quantile.
+    Pseudo-inertias of rigid bodies are positive semidefinite. Among the planes that separate the
+    cone of such parameters from the estimate, the one at the largest distance is found, and its
+    distance is compared with a chi-squared quantile.
 
     Args:
         estimate: Estimate by either method. Rotors regrouped with a body's inertia may have any
-            inertia that is not negative.
+            nonnegative inertia.
         sigmas: Significance, as standard deviations of a normal variable.
         model_error: Error of the model as a fraction of each parameter, added to sigma.
     """
@@ -92,20 +92,21 @@ def rigid_body_test(
 
 
 def _rotor_columns(estimate: Estimate) -> Array:
-    """Change of the minimal parameters by a unit of each regrouped rotor, (N, rotors)."""
+    """Change of the minimal parameters per unit inertia of each regrouped rotor, (N, rotors)."""
     regrouped = {} if estimate.drives is None else estimate.drives.regrouped
     columns = [column[: estimate.minimal.count] for column in regrouped.values()]
     return np.array(columns).reshape(len(columns), estimate.minimal.count).T
 
 
 def _pseudo_inertia_forms(standard: Array) -> Array:
-    """Minimal parameters as linear forms of all bodies' pseudo-inertias J, (N, 10 n).
+    """Coefficients of the minimal parameters as linear forms in the pseudo-inertias J, (N, 10 n).
 
-    In J, the unit of length is LENGTH_UNIT (0.3 m), to scale the solver's numbers.
+    The unit of length in J is LENGTH_UNIT (0.3 m), which improves the scaling of the solver's
+    numbers.
 
     Args:
-        standard: Minimal parameters as linear forms of (m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz), body
-            by body, (N, 10 n).
+        standard: Coefficients of the minimal parameters as linear forms in (m, h, Ixx, Ixy, Iyy,
+            Ixz, Iyz, Izz), body by body, (N, 10 n).
     """
     scaled = standard_from_coordinates(
         np.diag([LENGTH_UNIT, LENGTH_UNIT, LENGTH_UNIT, 1.0])
@@ -117,15 +118,15 @@ def _pseudo_inertia_forms(standard: Array) -> Array:
 def _separating_normal(
     forms: Array, rotors: Array, parameters: Array, root: Array
 ) -> Array:
-    """Normal of the farthest plane between parameters and all consistent robots, (N,).
+    """Normal of the plane that best separates the parameters from all consistent robots, (N,).
 
-    Its length is one standard deviation.
+    The length of the normal is one standard deviation.
 
     Args:
-        forms: Parameters as linear forms of the coordinates of all bodies' J, (N, 10 n).
-        rotors: Change of the parameters by each rotor's inertia, (N, m).
+        forms: Coefficients of the parameters as linear forms in the pseudo-inertias J, (N, 10 n).
+        rotors: Change of the parameters per unit inertia of each rotor, (N, m).
         parameters: Estimated parameters, (N,).
-        root: R, (N, N), with covariance R R'.
+        root: Square root R of the covariance R R', (N, N).
     """
     # scale of the distance, which makes the solver's numbers near one
     distance_scale = float(np.linalg.norm(np.linalg.solve(root, parameters))) or 1.0

@@ -25,9 +25,10 @@ from testbed.core.robot.tree import Tree
 def setup_diagnostics(problem: Problem) -> Iterator[Diagnostic]:
     """Diagnostics of robot, recording and settings before any sample is used.
 
-    Besides those of recording and problem: a tare that was not measured, joint laws of the model
-    file that are not estimated, joints that move in one direction only (dry friction plus offset is
-    estimated), and an offset or drift of the plate common to several recordings.
+    In addition to the diagnostics of recording and problem, they report a tare that was not
+    measured, joint laws of the model file that are not estimated, joints that move in one direction
+    only (for which the sum of dry friction and offset is estimated), and an offset or drift of the
+    plate common to several recordings.
 
     Args:
         problem: Problem with chosen terms and filters.
@@ -55,8 +56,8 @@ def setup_diagnostics(problem: Problem) -> Iterator[Diagnostic]:
 def _unmeasured_pedestal(problem: Problem) -> Iterator[Diagnostic]:
     """Diagnostic of a tare that was not measured: the weight of the model's pedestal.
 
-    A tare within 0.2 % of that weight counts as not measured, unless stated by a recording that is
-    not imported.
+    A tare within 0.2 % of this weight is taken as not measured, unless it is stated by a recording
+    that is not imported.
     """
     weight = float(np.linalg.norm(pedestal_wrench(problem.tree)[:3]))
     # relative difference above which a tare is not the weight of the model's pedestal

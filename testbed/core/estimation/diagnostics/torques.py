@@ -1,4 +1,4 @@
-"""Comparison of measured joint torques with predictions by the plate's estimate."""
+"""Comparison of measured joint torques with predictions from the plate's estimate."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class TorqueFactor(NamedTuple):
 
     Attributes:
         value: Ratio.
-        sigma: Standard deviation of the ratio: noise of the torque, and an upper bound for the
-            prediction.
+        sigma: Standard deviation of the ratio, from the noise of the torque and an upper bound on
+            the error of the prediction.
     """
 
     value: float
@@ -51,9 +51,10 @@ def torque_scale_diagnostics(
 ) -> Iterator[Diagnostic]:
     """Diagnostics of joints whose torques differ from the plate's prediction by a factor.
 
-    Factors outside 0.77 to 1.3 are reported as "torque.scale", such as a wrong unit. Others are
-    reported as "torque.constant" if they differ from one by 2 % and 8 sigma, and the plate's
-    estimate has no errors. Yields nothing for estimates of different robots, gravities or zeros.
+    Factors outside 0.77 to 1.3, as caused by a wrong unit, are reported as "torque.scale". Other
+    factors are reported as "torque.constant" if they differ from one by more than 2 % and 8 sigma
+    and the plate's estimate has no errors. No diagnostics are given for estimates of different
+    robots, gravities or zeros.
 
     Args:
         wrench_estimate: Estimate from the wrench.
@@ -133,9 +134,9 @@ def torque_factor(
         joint: Index of the joint.
 
     Returns:
-        Factor with sigma. None if, in power, the predicted remainder is below 1e-3 of the predicted
-        torque or the explained part below ten times the unexplained part of the measured remainder;
-        or if the prediction has a relative error above 5 %.
+        Factor with sigma. None if, in terms of squares, the predicted remainder is below 1e-3 of
+            the predicted torque, or the explained part of the measured remainder is below ten times
+            the unexplained part, or if the relative error of the prediction exceeds 5 %.
     """
     equations = torque_estimate.measured_equations or torque_estimate.normal_equations
     normal, right, square = equations.of_channel(joint)

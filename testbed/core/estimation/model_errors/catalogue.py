@@ -20,7 +20,7 @@ def model_error_families() -> tuple[ModelErrorFamily, ...]:
 
 @cache
 def _module_families() -> tuple[ModelErrorFamily, ...]:
-    """Instances of the concrete families in the modules of `families`, by module name."""
+    """Instances of the concrete families in the modules of `families`, in order of module names."""
     classes = [
         value
         for module in iter_modules(families.__path__, f"{families.__name__}.")

@@ -1,4 +1,4 @@
-"""Regression rows of a problem, and columns of model errors at these rows."""
+"""Regression rows of a problem, with columns of model errors."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class ErrorRows:
         linearizer: Linearizer of the recording.
         states: Motion of each window.
         window_rows: First row and number of rows of each window.
-        rest_covariances: Covariance of each window's rows by friction at rest of variance one, (C,
-            rows, rows) each; (0, rows, rows) for the wrench.
+        rest_covariances: Covariance of each window's rows due to friction at rest with unit
+            variance, (C, rows, rows) each; (0, rows, rows) for the wrench.
     """
 
     columns: Array
@@ -107,19 +107,20 @@ class ErrorRows:
     def family_columns(
         self, families: Sequence[ModelErrorFamily]
     ) -> tuple[dict[str, Array], dict[str, Indices]]:
-        """Columns of families at the rows by kind, (C, R, k) each, and indices of alternatives.
+        """Columns of each family at the rows, (C, R, k), and indices of alternative columns.
 
-        Families' columns are computed at fewer instants than `columns`. Their weighted
-        least-squares projection on unknowns' columns of the same instants is replaced by that
-        combination of `columns`, so that the difference between the rates does not count as an
+        The columns of families are computed at fewer instants than `columns`. Their weighted
+        least-squares projection on the unknowns' columns at these instants is replaced by the same
+        combination of `columns`, so that the difference between the rates does not appear as an
         effect.
 
         Args:
             families: Families of model errors.
 
         Returns:
-            Columns, whitened by `whitened_rows`; by kind of a family with alternatives, indices of
-                the columns in use, (2 C,), the best pair of each joint (`_best_alternatives`).
+            Columns keyed by kind of family, whitened by `whitened_rows`; and, for families with
+                alternatives, indices of the columns in use, (2 C,), which are the best pair of each
+                joint (`_best_alternatives`).
         """
         alternatives = dict[str, Indices]()
         columns = [self._columns_at_rows(family, alternatives) for family in families]
@@ -149,12 +150,12 @@ class ErrorRows:
     def _columns_at_rows(
         self, family: ModelErrorFamily, alternatives: dict[str, Indices]
     ) -> Array:
-        """Columns of a family at the rows, (C, R, k), separate by joint for joint families.
+        """Columns of a family at the rows, (C, R, k), separate per joint for joint families.
 
         Args:
             family: Family of model errors.
-            alternatives: Column indices of the best alternatives by kind, to which those of this
-                family are added, if there are several.
+            alternatives: Column indices of the best alternatives, keyed by kind; the indices of
+                this family are added if it has alternatives.
         """
         if not isinstance(family, JointFamily):
             return self._filtered_rows(
@@ -173,8 +174,8 @@ class ErrorRows:
         """Best pair of columns for each channel, (C, R, 2), and column indices, (2 C,).
 
         The best pair has the largest sum of the reductions of the squared residual by either column
-        alone. The residual is that of the linearizer's unknowns. Indices count the columns of all
-        channels, channel by channel.
+        alone. The residual is computed from the unknowns of the linearizer. Indices run over the
+        columns of all channels, channel by channel.
 
         Args:
             columns: Pairs of columns of each channel, (C, R, 2 count).
@@ -207,7 +208,7 @@ class ErrorRows:
         """Rows whitened for unknown friction at rest, (C, R, k); rows not in use are zero.
 
         Near rests of a joint, the covariance of the noise is 1 + REST_VARIANCE times the rest
-        covariance. Rows with much variance by friction (`_rest_factors`) are zero, too.
+        covariance. Rows with a large variance due to friction (`_rest_factors`) are also zero.
 
         Args:
             rows: Filtered rows, (C, R, k).
@@ -222,11 +223,11 @@ class ErrorRows:
     def _rest_factors(self) -> list[tuple[int, Indices, Array, NDArray[np.bool_]]]:
         """Cholesky factors of the noise covariance of rows near rests, by window and channel.
 
-        A row is in use with a variance, given earlier rows, below 1 + MAX_REST_VARIANCE, and a
-        share of its squared weights at rest below MAX_REST_SHARE.
+        A row is used if its variance, given earlier rows, is below 1 + MAX_REST_VARIANCE, and the
+        fraction of its squared weights at rest is below MAX_REST_SHARE.
 
         Returns:
-            Channel, row indices, Cholesky factor, and mask of the rows in use, of each group of
+            Channel, row indices, Cholesky factor, and mask of the rows in use, for each group of
                 rows.
         """
         factors = []
@@ -254,16 +255,16 @@ def error_rows(
 ) -> ErrorRows:
     """Build the rows of a problem and the motion around each window.
 
-    Rows near rests and reversals are included, since friction at rest counts as noise in
+    Rows near rests and reversals are included, since friction at rest is treated as noise in
     `ErrorRows.whitened_rows`.
 
     Args:
         problem: Problem with chosen terms and filters; rows are filtered.
         source: Recording corrected for sensor errors.
-        values: Unknowns by an estimate, about which model errors are linearised, (p,).
+        values: Estimated unknowns, about which model errors are linearised, (p,).
         prior: Rows of prior information on the unknowns and their right-hand side, with unit noise,
-            (r, p + 1). If any, model errors are linearised about a fit to rows and prior together,
-            in place of `values`.
+            (r, p + 1). If there are prior rows, model errors are linearised about a fit to rows and
+            prior together instead of `values`.
         pieces: Number of evenly spread pieces, with MAX_ROWS rows together, of a longer recording.
     """
     passes = problem.passes(1, source, whole=True, per_cutoff=ROWS_PER_CUTOFF)
@@ -300,7 +301,7 @@ def error_rows(
 def _solution_with_prior(columns: Array, measured: Array, prior: Array) -> Array:
     """Least-squares solution from rows (C, R, p) and a prior, (p,).
 
-    Channels are weighted by the rms of their residuals, in three iterations.
+    Channels are weighted by the inverse RMS of their residuals, in three iterations.
 
     Args:
         columns: Columns of the unknowns, (C, R, p).
@@ -359,7 +360,8 @@ def _shortened_plan(plan: Plan, number: int) -> Plan:
 def _window_rows(plan: Plan) -> tuple[tuple[int, int], ...]:
     """First row and number of rows of each window, with empty rows for gaps.
 
-    A gap of any duration becomes MAX_AUTOREGRESSION_ORDER rows, as many as noise models have lags.
+    A gap of any duration is represented by MAX_AUTOREGRESSION_ORDER rows, the largest lag of the
+    noise models.
     """
     window_rows, row, end = [], 0, -1
     for window in plan.windows():
@@ -388,11 +390,11 @@ def _spaced_rows(rows: Array, window_rows: tuple[tuple[int, int], ...]) -> Array
 def _rest_covariances(
     linearizer: Linearizer, states: WindowStates, signals: SignalWindow
 ) -> Array:
-    """Covariance of rows by white torque noise at each joint's rests, (n, rows, rows).
+    """Covariance of rows due to white torque noise at rests of each joint, (n, rows, rows).
 
-    The noise has variance one at instants with a speed up to the deadband or the window's
-    `speed_threshold`, if larger, else zero. A row's squared weights sum to one. Wrench: (0, rows,
-    rows).
+    The noise has variance one at instants with a speed up to the deadband or, if larger, the
+    window's `speed_threshold`, and zero elsewhere. The squared weights of a row sum to one. For the
+    wrench, the shape is (0, rows, rows).
 
     Args:
         linearizer: Linearizer of the recording.

@@ -21,21 +21,22 @@ MIN_RELATIVE_VARIANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ModelErrorEstimate:
-    """Estimated model error of one family.
+    """Estimated model error of one family, which is a type of model error.
 
     Attributes:
-        family: Kind of the family.
+        family: Unique key (`kind`) of the family.
         label: Name for reports.
         meaning: Cause in the robot.
         remedy: Remedy for the user.
-        gain: Gain of the restricted log likelihood by the family [nats].
+        gain: Gain of the restricted log likelihood due to the family [nats].
         physical: True if the columns follow from a physical law.
         named: True if the gain is at least MIN_NAMED_GAIN: the family is reported as the cause.
         corrected: True if the error is subtracted from the measurements.
         effect: Rms of the error in each channel, without the part collinear with the unknowns, (C,)
             [N, N m].
         share: Effect relative to the rms residual of the unknowns alone, (C,).
-        coefficients: Reported coefficients by decreasing significance; empty for most families.
+        coefficients: Reported coefficients in order of decreasing significance; empty for most
+            families.
     """
 
     family: str
@@ -53,7 +54,7 @@ class ModelErrorEstimate:
 
 @dataclass(frozen=True, eq=False)
 class SignalSizes:
-    """Greatest magnitudes of signals in a recording, the scales of plausible model errors.
+    """Greatest magnitudes of signals in a recording, used to scale plausible model errors.
 
     Attributes:
         torque: Joint torques, (n,) [N m or N].
@@ -81,8 +82,8 @@ class ModelErrorCorrection:
     Attributes:
         families: Kinds of the families.
         counts: Number of columns of each family.
-        columns: Column indices in a family with alternatives; () for all columns.
-        coefficients: Coefficients in units of plausible sizes, (k,).
+        columns: Column indices used in each family; () for all columns of the family.
+        coefficients: Coefficients relative to the plausible sizes of the errors, (k,).
         spread: Second moments of the coefficients' errors, (k, k).
         gain: Change of the unknowns per coefficient if the errors are not subtracted, (p, k).
         sizes: Signal magnitudes of the recording from which the coefficients were estimated.
@@ -129,7 +130,8 @@ class RepeatableError:
     Attributes:
         period: Period of the motion, or duration that the recordings have in common [s].
         recordings: Number of recordings compared; 1 for periods of one recording.
-        chance: P-value of the F test: probability of as large a repetition in noise alone.
+        chance: P-value of the F test, the probability of an equally large repetition in noise
+            alone.
         rms: Rms of the repeatable part in each channel, (C,) [N, N m].
         share: Share of the repeatable part in each channel's squared residual, (C,).
     """
@@ -142,7 +144,7 @@ class RepeatableError:
 
     @property
     def repetition_text(self) -> str:
-        """Phrase on the repetition: "in 3 recordings of it", or "every 2.5 s"."""
+        """Phrase that describes the repetition: "in 3 recordings of it", or "every 2.5 s"."""
         if self.recordings > 1:
             return f"in {self.recordings} recordings of it"
         return f"every {self.period:.4g} s"
@@ -154,7 +156,8 @@ class ModelErrorEffect:
 
     Attributes:
         spread: Second moments of the coefficients' errors after the correction, (k, k).
-        information: Information matrix X' X of the unknowns, rows in units of the noise, (p, p).
+        information: Information matrix X' X of the unknowns, with rows in units of the noise,
+            (p, p).
         cross: Products X' Z of the columns of unknowns and coefficients, (p, k).
     """
 
@@ -167,7 +170,7 @@ class ModelErrorEffect:
 
         Args:
             covariance: Covariance of the unknowns without model errors, (p, p).
-            prior: Covariance of the unknowns before the data, (p, p); None for none.
+            prior: Prior covariance of the unknowns, (p, p); None for no prior.
         """
         sizes, axes = eigh(self.spread)
         size = np.sqrt(np.maximum(sizes, 0.0))
@@ -176,12 +179,12 @@ class ModelErrorEffect:
     def gain(self, covariance: Array, prior: Array | None = None) -> Array:
         """Sensitivity of the estimated unknowns to the error coefficients, (p, k).
 
-        It is (J + P^-1)^-1 X' Z, with J the information and P the prior covariance.
+        It is (J + P^-1)^-1 X' Z, where J is the information and P the prior covariance.
 
         Args:
-            covariance: Covariance of the unknowns without model errors, (p, p); directions with
-                less than MIN_RELATIVE_VARIANCE stay fixed.
-            prior: Covariance of the unknowns before the data, (p, p); None for none.
+            covariance: Covariance of the unknowns without model errors, (p, p); directions with a
+                relative variance below MIN_RELATIVE_VARIANCE stay fixed.
+            prior: Prior covariance of the unknowns, (p, p); None for no prior.
         """
         information = self.information
         if prior is not None:

@@ -1,4 +1,4 @@
-"""Base classes of model errors: linear columns, each of a plausible size."""
+"""Base classes of families (types) of model errors, given by columns of plausible size."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def block_diagonal_columns(columns: Array) -> Array:
 
 
 class ModelErrorFamily(ABC):
-    """Base class of families of model errors, linear in coefficients.
+    """Base class of families (types) of model errors that are linear in their coefficients.
 
-    A coefficient of one is an error of plausible size. Concrete families are in the modules of
-    `families`; `SensorFamily` is that of a sensor error.
+    A coefficient of one corresponds to an error of plausible size. Concrete families are defined in
+    the modules of `families`; `SensorFamily` represents a sensor error.
     """
 
     kind: str
@@ -55,7 +55,7 @@ class ModelErrorFamily(ABC):
         """True if the robot can have the error.
 
         Args:
-            point: Motion and predicted forces about which the error is linear.
+            point: Motion and predicted forces about which the error is linearised.
         """
         del point
         return True
@@ -71,18 +71,18 @@ class ModelErrorFamily(ABC):
 
     @abstractmethod
     def columns(self, point: Linearization) -> Array:
-        """Effects on the measurements by errors of plausible size, (m, C, k) [N, N m].
+        """Effects of errors of plausible size on the measurements, (m, C, k) [N, N m].
 
         Args:
             point: Motion at m instants and predicted forces in C channels, about which the error is
-                linear.
+                linearised.
         """
 
     def selected_columns(self, point: Linearization, indices: Sequence[int]) -> Array:
         """Columns with the given indices, (m, C, k); all columns for empty indices.
 
         Args:
-            point: Motion and predicted forces about which the error is linear.
+            point: Motion and predicted forces about which the error is linearised.
             indices: Column indices.
         """
         columns = self.columns(point)
@@ -103,11 +103,11 @@ class JointFamily(ModelErrorFamily):
     def selected_columns(self, point: Linearization, indices: Sequence[int]) -> Array:
         """Columns with the given indices, (m, n, k); all columns for empty indices.
 
-        With c columns in `torques`, column index c j + i is column i of joint j, zero for other
-        joints. Only the columns of the indices are assembled.
+        With c columns in `torques`, column index c j + i denotes column i of joint j, which is zero
+        for other joints. Only the selected columns are assembled.
 
         Args:
-            point: Motion at m instants and predicted forces about which the error is linear.
+            point: Motion at m instants and predicted forces about which the error is linearised.
             indices: Column indices.
         """
         if not indices:
@@ -124,7 +124,7 @@ class JointFamily(ModelErrorFamily):
         """Effects on each joint's own torque, (m, n, k) [N m or N].
 
         Args:
-            point: Motion and predicted forces about which the error is linear.
+            point: Motion and predicted forces about which the error is linearised.
         """
 
 

@@ -33,7 +33,7 @@ def predictive_count(
 
     Args:
         products: Unknowns and families under white noise.
-        order: Kinds of families, by decreasing gain.
+        order: Kinds of families, in order of decreasing gain.
         variances: Variance of each family's coefficients.
     """
     losses = [
@@ -88,13 +88,13 @@ def _weak_prior(
 ) -> tuple[Array, Array]:
     """Prior information matrix, (q, q), and information times mean, (q,).
 
-    The q variables are p unknowns, then coefficients of families. Unknowns: WEAK_PRIOR_SHARE of the
-    information of all rows, about the solution from all rows. Coefficients: inverse variances,
-    about zero.
+    The q variables are p unknowns, then coefficients of families. The prior of the unknowns is
+    centred on the solution from all rows and has WEAK_PRIOR_SHARE of its information. The prior of
+    the coefficients has mean zero and the given variances.
 
     Args:
         whole: Products of all rows' columns and measurements, (q + 1, q + 1).
-        counts: Number of columns of the unknowns, and of each family.
+        counts: Number of columns of the unknowns, then of each family.
         variances: Variance of each family's coefficients.
     """
     p = counts[0]

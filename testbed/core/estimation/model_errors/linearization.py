@@ -1,4 +1,4 @@
-"""Motion and predicted forces at the instants about which model errors are linear."""
+"""Motion and predicted forces about which model errors are linearised."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ class Linearization:
     """Motion of a window, forces that an estimate predicts, and their derivatives.
 
     Attributes:
-        tree: Kinematic tree of the robot; only the geometry matters.
+        tree: Kinematic tree of the robot; only its geometry is used.
         method: Measured signal: torques or wrench.
         motion: Motion at m instants.
-        forces: Wrench, torques, and derivatives with respect to joint displacements; also of joint
-            frames and base if the base is fixed and no force sensor is in the robot.
+        forces: Wrench, torques, and their derivatives with respect to joint displacements; also
+            with respect to displacements of joint frames and base, if the base is fixed and no
+            force sensor is in the robot.
         joint_torque: Torques of the joint terms (friction, rotors), (m, n) [N m or N].
         time: Time from the middle of the recording, (m,) [s].
         sizes: Signal magnitudes of the recording.
@@ -70,7 +71,7 @@ class Linearization:
         return np.asarray(self.forces.torque + self.joint_torque)
 
     def quasi_static_part(self, signal: Array) -> Array:
-        """Part of a signal below QUASI_STATIC_CUTOFF, (m, k), by a low-pass filter.
+        """Low-passed part of a signal below QUASI_STATIC_CUTOFF, (m, k).
 
         Args:
             signal: Signal at the instants, (m, k).
@@ -84,13 +85,14 @@ class Linearization:
         return np.asarray(np.gradient(signal, self.motion.t, axis=0))
 
     def displacement_effects(self, first: int, displacements: Array) -> Array:
-        """Changes of the measured signal by time-varying displacements, (m, C, D, k).
+        """Changes of the measured signal due to time-varying displacements, (m, C, D, k).
 
-        First and second time derivatives of the displacements, by finite differences, contribute.
+        They include the effects of the displacements' first and second time derivatives, which are
+        finite differences.
 
         Args:
-            first: Index of the first of D displacements in the order of `ForceDerivatives`: n of
-                joints, five per joint frame, six of the base.
+            first: Index of the first of D displacements in the order of `ForceDerivatives`: n joint
+                displacements, five per joint frame, and six of the base.
             displacements: Displacements, (m, D, k) [rad or m].
         """
         rate = self.time_derivative(displacements)
@@ -98,7 +100,7 @@ class Linearization:
         return slopes.force_changes(displacements, rate, self.time_derivative(rate))
 
     def encoder_effects(self, displacements: Array) -> Array:
-        """Changes of the measured signal by displacements of each joint alone, (m, C, n k).
+        """Changes of the measured signal due to displacements of each joint alone, (m, C, n k).
 
         Columns are ordered by joint, then by displacement.
 
@@ -109,6 +111,6 @@ class Linearization:
         return change.reshape(*change.shape[:2], -1)
 
     def filtered_rows(self, signals: Array) -> Array:
-        """Signals at the instants, (m, C, k), filtered at the rows, (C, rows, k)."""
+        """Filter signals at the instants, (m, C, k), to signals at the rows, (C, rows, k)."""
         rows = filtered(signals, self.filter.weights, self.filter.row_step)
         return rows.transpose(1, 0, 2)

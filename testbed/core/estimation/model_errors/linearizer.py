@@ -112,9 +112,9 @@ class Linearizer:
     def states(self, signals: SignalWindow, row: int) -> WindowStates:
         """Fine and smooth motion around a window's rows.
 
-        Smooth positions passed a Wiener filter and a low-pass at SMOOTHING_CUTOFF; velocity and
-        acceleration are finite differences of them. Sensed velocities count as free of noise: the
-        smooth motion is then the fine motion.
+        Smooth positions result from a Wiener filter and a low-pass at SMOOTHING_CUTOFF; velocities
+        and accelerations are their finite differences. Sensed velocities are taken as noise-free,
+        in which case the smooth motion is the fine motion.
 
         Args:
             signals: Signals of the window.
@@ -184,10 +184,10 @@ class Linearizer:
 
     @cached_property
     def _barycentric_parameters(self) -> Array:
-        """Barycentric parameters of least norm with the estimated minimal parameters, (n, 10).
+        """Minimum-norm barycentric parameters for the estimated minimal parameters, (n, 10).
 
-        The norm is that of the standard parameters relative to TYPICAL_BODY. It keeps parameters
-        small that are not identifiable but enter the derivatives with respect to joint frames.
+        The norm is that of the standard parameters relative to TYPICAL_BODY. Minimising it keeps
+        unidentifiable parameters small, which enter the derivatives with respect to joint frames.
         """
         minimal, tree = self.problem.minimal, self.problem.tree
         forms = minimal.standard_matrix * np.tile(TYPICAL_BODY, tree.n)
@@ -196,7 +196,7 @@ class Linearizer:
         return np.asarray(barycentric_from_standard(tree, TYPICAL_BODY * relative))
 
     def _joint_torques(self, motion: Motion) -> Array:
-        """Torques of the joint terms at a motion, (m, n) [N m or N]; zero without joint terms.
+        """Torques of the joint terms along a motion, (m, n) [N m or N]; zero without joint terms.
 
         Terms that depend on other signals, such as temperature or load, are left out.
         """
@@ -225,8 +225,8 @@ def _noise_variances(position: Array) -> Array:
 def _wiener_filtered(position: Array, noise: Array) -> Array:
     """Positions after a Wiener filter, without frequencies dominated by noise, (m, n).
 
-    Frequencies with less than MIN_SPECTRAL_RATIO times the power of the noise are removed: noise in
-    differentiated positions would correlate columns of model errors with the residuals.
+    Frequencies with less than MIN_SPECTRAL_RATIO times the power of the noise are removed, since
+    noise in differentiated positions would correlate columns of model errors with the residuals.
 
     Args:
         position: Positions at closely spaced instants, (m, n) [rad or m].

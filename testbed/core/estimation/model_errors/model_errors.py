@@ -1,8 +1,8 @@
 """Model errors in the residuals of an estimate: search, effect and correction.
 
-The estimate is that of the recording without the likeliest part of corrected families, and a part
-of this correction counts as uncertainty. Other families stay in the measurements, and the
-covariance counts their possible effect.
+The most likely errors of the corrected families (types of model error) are subtracted from the
+recording, and a part of this correction is counted as uncertainty. Errors of other families stay in
+the measurements, and the covariance includes their possible effect.
 
 Source    [KO01] for the uncertainty of a model counted in the estimate
 """
@@ -66,14 +66,14 @@ MIN_ROWS = 50
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """Families of model errors in an estimate's residuals, and their effect.
+    """Families (types) of model errors found in the residuals of an estimate, and their effect.
 
     Attributes:
-        estimates: Estimate of each family, by decreasing gain.
+        estimates: Estimate of each family, in order of decreasing gain.
         correction: Coefficients of the families.
         effect: Effect on the unknowns.
         corrected_kinds: Kinds that are subtracted from the measurements.
-        values: Unknowns about which the errors are linear, (p,).
+        values: Unknowns about which the errors are linearised, (p,).
     """
 
     estimates: tuple[ModelErrorEstimate, ...]
@@ -110,7 +110,7 @@ def model_error_signal(
 
 
 class ModelErrorFreeSource(DerivedSource):
-    """Recording with model errors subtracted, joints in the order of the tree.
+    """Recording with model errors subtracted and joints in the order of the tree.
 
     Attributes:
         doubt: Mean variance of the subtracted signal in each channel, without the part that the
@@ -124,12 +124,12 @@ class ModelErrorFreeSource(DerivedSource):
         values: Array,
         correction: ModelErrorCorrection,
     ) -> None:
-        """Compute the errors at instants between which they are interpolated.
+        """Compute the errors at the instants from which they are interpolated.
 
         Args:
             problem: Robot and method.
             source: Recording to be corrected.
-            values: Unknowns about which the errors are linear, (p,).
+            values: Unknowns about which the errors are linearised, (p,).
             correction: Coefficients of the errors.
         """
         super().__init__(source, source.samples, source.rate)
@@ -162,8 +162,8 @@ class ModelErrorFreeSource(DerivedSource):
     def part(self, first: int, last: int) -> Recording:
         """Corrected samples `first` to `last` - 1, without the truth.
 
-        Errors are interpolated by a cubic spline, constant before the first and after the last
-        instant.
+        Errors are interpolated by a cubic spline and are constant before the first and after the
+        last instant.
         """
         recording = self._source.part(first, last).ordered(self._tree)
         samples = np.clip(np.arange(first, last), self._instants[0], self._instants[-1])
@@ -175,7 +175,7 @@ class ModelErrorFreeSource(DerivedSource):
 def _merged_windows(
     times: Sequence[Indices], signals: Sequence[Array]
 ) -> tuple[Indices, Array]:
-    """Sorted unique instants and the signals there; a later window replaces an earlier.
+    """Sorted unique instants and their signals; later windows take precedence.
 
     Args:
         times: Sample indices of each window, (m,).
@@ -195,9 +195,9 @@ def find_model_errors(
     prior: Gaussian | None = None,
     kinds: Collection[str] | None = None,
 ) -> ModelErrors | None:
-    """Find the model errors in an estimate's residuals; None without any.
+    """Find the model errors in the residuals of an estimate; None if there are none.
 
-    Families are selected by the restricted likelihood (`Selector`). The result is None, too, if
+    Families are selected by the restricted likelihood (`Selector`). The result is also None if
     every channel has fewer than MIN_ROWS rows.
 
     Args:
@@ -205,7 +205,7 @@ def find_model_errors(
         source: Recording corrected for sensor errors.
         values: Estimated unknowns, (p,).
         estimated_terms: Terms of the sensor errors that are estimated with the unknowns.
-        prior: Prior of the first unknowns; None for none.
+        prior: Prior of the first unknowns; None for no prior.
         kinds: Kinds of families to search; default all.
     """
     prior_rows = _prior_rows(prior, len(values))
@@ -243,7 +243,7 @@ def _regression_rows(
 ) -> tuple[RegressionRows, dict[str, Indices]]:
     """Whitened rows of unknowns, sensor errors and families, and column indices of alternatives.
 
-    Estimated sensor errors become unknowns after the robot's, without prior.
+    Estimated sensor errors are unknowns that follow the robot unknowns and have no prior.
 
     Args:
         rows: Rows of the robot's unknowns.
@@ -270,7 +270,7 @@ def _prior_rows(prior: Gaussian | None, count: int) -> Array:
     MIN_RELATIVE_VARIANCE have no row; r is zero without a prior.
 
     Args:
-        prior: Prior of the first unknowns; None for none.
+        prior: Prior of the first unknowns; None for no prior.
         count: Number of unknowns, p.
     """
     if prior is None:
@@ -296,7 +296,7 @@ def _model_errors(
         rows: Rows of the robot's unknowns.
         families: Families that were searched.
         selection: Selected families.
-        alternatives: Column indices of the best alternatives by kind.
+        alternatives: Column indices of the best alternatives, keyed by kind.
     """
     by_kind, tree = {each.kind: each for each in families}, rows.linearizer.problem.tree
     correction = _correction(rows, selection, alternatives)
@@ -316,17 +316,18 @@ def _model_errors(
 def _correction(
     rows: ErrorRows, selection: Selection, alternatives: Mapping[str, Indices]
 ) -> ModelErrorCorrection:
-    """Coefficients of the selected families, zero for families that stay uncorrected.
+    """Coefficients of the selected families; zero for uncorrected families.
 
-    `spread` is the prior variance of coefficients of a family with a gain below MIN_NAMED_GAIN. For
-    other families it is the posterior covariance, plus the outer product of CORRECTION_DOUBT times
-    the coefficients of corrected families and of the coefficients of uncorrected families. `gain`
-    is zero, to be replaced by the caller.
+    For families with a gain below MIN_NAMED_GAIN, `spread` contains the prior variances of their
+    coefficients. For other families, it contains the posterior covariance plus the outer product of
+    a vector with itself; the vector holds the coefficients of uncorrected families, and
+    CORRECTION_DOUBT times the coefficients of corrected families. `gain` is zero and is to be
+    replaced by the caller.
 
     Args:
         rows: Rows of the robot's unknowns.
         selection: Selected families.
-        alternatives: Column indices of the best alternatives by kind.
+        alternatives: Column indices of the best alternatives, keyed by kind.
     """
     products, solution, kinds = (
         selection.products,
@@ -361,9 +362,9 @@ def _correction(
 
 
 def _marginal_information(products: ProjectedRows, count: int) -> tuple[Array, Array]:
-    """Information on the robot's unknowns, (p, p), and products with families, (p, k).
+    """Information matrix of the robot unknowns, (p, p), and products with families, (p, k).
 
-    Sensor unknowns are eliminated by the Schur complement; the prior is subtracted.
+    Sensor unknowns are eliminated by the Schur complement, and the prior information is subtracted.
 
     Args:
         products: Projected rows of all unknowns and families.
@@ -384,7 +385,7 @@ def _estimate_of(
 ) -> ModelErrorEstimate:
     """Estimate of one selected family: texts for reports, gain, effect, coefficients.
 
-    Coefficients are in the order of decreasing ratio of magnitude to sigma.
+    Coefficients are sorted by decreasing ratio of magnitude to sigma.
 
     Args:
         selection: Selected families.
@@ -428,10 +429,10 @@ def _estimate_of(
 def _effect(
     selection: Selection, kind: str, coefficients: Array
 ) -> tuple[Array, Array]:
-    """Rms of a family's signal in each channel, absolute and relative, (C,) each.
+    """RMS of a family's signal in each channel, absolute and relative, (C,) each.
 
-    The signal's least-squares projection on the unknowns' columns is subtracted. The reference is
-    the residual of the unknowns alone.
+    The signal's least-squares projection on the unknowns' columns is subtracted. The reference of
+    the relative value is the residual of a fit of the unknowns alone.
 
     Args:
         selection: Selected families.

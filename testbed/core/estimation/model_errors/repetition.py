@@ -49,7 +49,7 @@ class MotionRows(NamedTuple):
         """Consecutive rows interpolated by a cubic spline, (C, count, p + 1).
 
         Args:
-            first: Index of the first row, integer or not.
+            first: Index of the first row, which may be fractional.
             count: Number of rows.
         """
         spline = CubicSpline(np.arange(self.rows.shape[1]), self.rows, axis=1)
@@ -60,9 +60,9 @@ class MotionRows(NamedTuple):
 def repeatable_error(problem: Problem, values: Array) -> RepeatableError | None:
     """Repeatable part of an estimate's residuals; None without a repeated motion.
 
-    Periods of the longest recording are compared (`period_of`). Without a period, it is compared
-    with up to MAX_RECORDINGS others of the same motion (`lag_of`), longer than MIN_LENGTH_SHARE of
-    its samples. The result is None, too, for too few rows (`_lack_of_fit`).
+    Periods of the longest recording are compared (`period_of`). If it has no period, it is compared
+    with up to MAX_RECORDINGS other recordings of the same motion (`lag_of`) that have more than
+    MIN_LENGTH_SHARE of its samples. The result is also None for too few rows (`_lack_of_fit`).
 
     Args:
         problem: Problem with chosen terms and filters; rows are filtered.
@@ -91,8 +91,8 @@ def _motion_rows(
 ) -> tuple[MotionRows, float]:
     """Rows of a recording without gaps, and the rate of rows [Hz].
 
-    At most the first MAX_ROWS rows of `error_rows`, whitened for friction at rest. Residuals have
-    mean zero in each channel.
+    The rows are at most the first MAX_ROWS rows of `error_rows`, whitened for friction at rest.
+    Residuals have zero mean in each channel.
 
     Args:
         problem: Problem with chosen terms and filters.
@@ -115,9 +115,10 @@ def _motion_rows(
 
 
 def _period_rows(motion: MotionRows, count: int) -> Array:
-    """Rows of each period, (C, P, n, p + 1): P periods of n rows, the last at the end.
+    """Rows of the last P periods, each of n rows, (C, P, n, p + 1).
 
-    For a motion of less than two periods, they are its first rows and the rows one period later.
+    For a motion of less than two periods, the result is its first rows and the rows one period
+    later.
 
     Args:
         motion: Rows of at least one and a half periods.
@@ -137,7 +138,7 @@ def _common_rows(first: MotionRows, others: Sequence[MotionRows]) -> Array:
 
     Args:
         first: Rows of the reference recording, the first of the P.
-        others: Rows of further recordings; those of another motion (`lag_of`) are left out.
+        others: Rows of further recordings; recordings of another motion (`lag_of`) are left out.
     """
     matches = [(first, 0.0)]
     for other in others:
@@ -157,7 +158,7 @@ def _lack_of_fit(
 ) -> RepeatableError | None:
     """Repeatable part of the residuals, tested against the deviations between periods.
 
-    Its mean square is that of the mean period, less the part expected from the deviations.
+    Its mean square is that of the mean period minus the part expected from the deviations.
 
     Args:
         periods: Columns of the unknowns, and residuals, of P periods, (C, P, n, p + 1).
@@ -165,8 +166,8 @@ def _lack_of_fit(
         recordings: Number of recordings compared.
 
     Returns:
-        Repeatable part; None for less than two periods, or periods of less than MIN_ROWS rows, or
-            of less than two rows (of all channels) per unknown and channel.
+        Repeatable part; None for fewer than two periods, or if a period has fewer than MIN_ROWS
+            rows or fewer than two rows (of all channels) per unknown and channel.
     """
     channels, number, count, width = periods.shape
     if number < 2 or count < MIN_ROWS or count * channels < 2 * (width + channels):
@@ -183,10 +184,10 @@ def _lack_of_fit(
 
 
 def _repetition_p_value(white: Array) -> float:
-    """P-value of the mean period in white noise, by an F test.
+    """P-value of the mean period under white noise, from an F test.
 
-    The part of the mean period that the unknowns explain does not count: encoder noise attenuates
-    the parameters, and that error repeats.
+    The part of the mean period that the unknowns explain is removed, since encoder noise attenuates
+    the parameters, and this error repeats.
 
     Args:
         white: Columns of the unknowns, and residuals, of P periods, (C, P, n, p + 1).
@@ -208,8 +209,8 @@ def _repetition_p_value(white: Array) -> float:
 def _whitened_periods(periods: Array, deviations: Array) -> Array:
     """Periods whitened by the autoregression of the deviations, (C, P, n, k).
 
-    The first of more than two periods is left out, since its first rows have no earlier rows; of
-    two periods, these rows are zero.
+    Of more than two periods, the first is left out, since its first rows have no earlier rows; of
+    two periods, these rows are set to zero.
 
     Args:
         periods: Columns and residuals of P periods, (C, P, n, k).

@@ -1,12 +1,13 @@
 """Restricted likelihood of variance components under autoregressive noise.
 
-y = X theta + sum over families of Z_f u_f + e, u_f ~ N(0, lambda_f), e of one autoregression a
-channel. In rows that the autoregressions make white, with X projected out, G = Z' P Z and c = Z' P
-y, the logarithm of the restricted likelihood is
+The model is y = X theta + sum over families f of Z_f u_f + e, with u_f ~ N(0, lambda_f) and an
+autoregression e in each channel. For rows whitened by the autoregressions, with the projection P
+that removes X, G = Z' P Z and c = Z' P y, the logarithm of the restricted likelihood is
 
     -sum_c n_c log sigma_c - 1/2 log |X'X| - 1/2 log |1 + D G| - nu/2 log(rss / nu)
 
-with D of the variances lambda and rss the remaining sum of squares.
+where n_c is the number of rows of channel c, nu the number of degrees of freedom, D the diagonal
+matrix of the variances lambda, and rss the remaining sum of squares.
 
 Source    [PT71]; [Har77]
 """
@@ -50,7 +51,7 @@ MAX_LOST_SHARE = 0.6
 
 
 class RowNoise(NamedTuple):
-    """Noise of C channels in rows.
+    """Noise model for rows of C channels.
 
     Attributes:
         process: Autoregressions of the channels.
@@ -68,8 +69,8 @@ class RegressionRows:
     Attributes:
         columns: Columns of the unknowns, (C, R, p), of C channels, R rows and p unknowns.
         measured: Measurements, (C, R).
-        row_mask: True for rows that count, (C, R).
-        families: Columns by kind of family, (C, R, k) each.
+        row_mask: True for rows that are used, (C, R).
+        families: Columns of each family, (C, R, k) each, keyed by kind.
         prior: Rows of prior information on the unknowns and their right-hand side, with unit noise,
             (r, p + 1).
     """
@@ -82,13 +83,13 @@ class RegressionRows:
 
     @property
     def count(self) -> Array:
-        """Number of rows that count in each channel, at least 1, (C,)."""
+        """Number of rows used in each channel, at least 1, (C,)."""
         return np.asarray(np.maximum(self.row_mask.sum(axis=1), 1.0))
 
     def whitened_rows(self, rows: Array, noise: RowNoise) -> Array:
-        """Rows (C, R, k) whitened to unit noise, (C (R - P), k).
+        """Whiten rows, (C, R, k), to unit noise, (C (R - P), k).
 
-        The first P rows, with P the order of the autoregressions, are left out; masked rows are
+        The first P rows, where P is the order of the autoregressions, are left out; masked rows are
         zero.
 
         Args:
@@ -108,10 +109,10 @@ class RegressionRows:
         return np.asarray(white * scale[..., None]).reshape(-1, rows.shape[2])
 
     def fit_noise(self, residual: Array, freedom: float) -> RowNoise:
-        """Fit autoregressions to residuals, with the order by Akaike's criterion.
+        """Fit autoregressions to residuals, with the order chosen by Akaike's criterion.
 
-        The order is common to all channels. Variances are per degree of freedom, of which the fit
-        takes at most MAX_LOST_SHARE.
+        The order is common to all channels. Variances are computed per degree of freedom; the fit
+        is assumed to take at most a fraction MAX_LOST_SHARE of these.
 
         Args:
             residual: Residuals, (C, R), zero in masked rows.
@@ -144,7 +145,7 @@ class Solution(NamedTuple):
     """Posterior mean and covariance of unknowns and family coefficients.
 
     Attributes:
-        values: Unknowns, then coefficients in plausible sizes, (p + k,).
+        values: Unknowns, then coefficients relative to plausible sizes, (p + k,).
         covariance: Covariance of the values, (p + k, p + k).
         freedom: Degrees of freedom taken by the fit.
     """
@@ -155,29 +156,29 @@ class Solution(NamedTuple):
 
 
 class ProjectedRows:
-    """White rows with the unknowns projected out, by QR decomposition.
+    """Whitened rows with the unknowns projected out by QR decomposition.
 
-    The likelihood and the solution follow for any variances of the families. X are the white
-    columns of the unknowns, with prior rows below, and Z those of the families.
+    They give the likelihood and the solution for any variances of the families. X are the whitened
+    columns of the unknowns, with prior rows appended, and Z those of the families.
 
     Attributes:
         rows: Rows of unknowns and all families.
         kinds: Kinds of families in use.
-        noise: Noise by which rows are whitened.
-        indices: Indices of each family's columns in Z, by kind.
+        noise: Noise model used to whiten the rows.
+        indices: Indices of each family's columns in Z, keyed by kind.
         p: Number of unknowns.
-        free: Number of white rows less p, at least 1.
+        free: Number of whitened rows minus p, at least 1.
     """
 
     def __init__(
         self, rows: RegressionRows, kinds: Sequence[str], noise: RowNoise
     ) -> None:
-        """Whiten the rows of unknowns and some families, and project.
+        """Whiten the rows of unknowns and selected families, and project out the unknowns.
 
         Args:
             rows: Rows of unknowns and all families.
             kinds: Kinds of families in use.
-            noise: Noise by which rows are whitened.
+            noise: Noise model used to whiten the rows.
         """
         self.rows, self.kinds, self.noise = rows, tuple(kinds), noise
         blocks = [rows.families[kind] for kind in kinds]
@@ -238,7 +239,7 @@ class ProjectedRows:
     def _log_determinant(self) -> float:
         """Logarithm of the determinant of X'X.
 
-        Dependent columns count with RANK_TOLERANCE of their length.
+        Dependent columns contribute with RANK_TOLERANCE times their length.
         """
         least = RANK_TOLERANCE * np.linalg.norm(self._triangle, axis=0)
         size = np.maximum(
@@ -257,13 +258,13 @@ class ProjectedRows:
         return np.asarray(self._projected[:, one].T @ self._projected[:, other])
 
     def gain(self, kind: str, chosen: Mapping[str, float]) -> tuple[float, float]:
-        """Gain of the log likelihood by one more family [nats], and the best variance.
+        """Gain of the log likelihood due to one more family [nats], and the best variance.
 
         Both are zero if no variance of VARIANCE_GRID increases the likelihood.
 
         Args:
             kind: Kind of the family.
-            chosen: Variances of the families already chosen, by kind.
+            chosen: Variances of the families already chosen, keyed by kind.
         """
         moment, rss = self._measured_products
         indices = self.indices[kind]
@@ -284,7 +285,7 @@ class ProjectedRows:
 
         Args:
             gram: Products of a family's columns, (k, k).
-            right: Products of these and the measurements, (k,).
+            right: Products of these columns and the measurements, (k,).
             rss: Sum of squares of the measurements.
         """
         sizes, axes = eigh((gram + gram.T) / 2)
@@ -317,7 +318,7 @@ class ProjectedRows:
         return np.concatenate(blocks), np.concatenate(variances)
 
     def _cholesky_factor(self, indices: NDArray[np.intp], variances: Array) -> Array:
-        """Cholesky factor of G + 1 / D for some columns, (k, k).
+        """Cholesky factor of G + D^-1 for selected columns, (k, k).
 
         Args:
             indices: Column indices, (k,).
@@ -332,11 +333,11 @@ class ProjectedRows:
     ) -> dict[str, float]:
         """Best variances of chosen families, by coordinate ascent of the likelihood.
 
-        A round sets the variances in turn to the best values of VARIANCE_GRID; families without
+        Each round sets the variances in turn to the best values of VARIANCE_GRID; families without
         gain are dropped.
 
         Args:
-            chosen: Variances by kind.
+            chosen: Variances of families, keyed by kind.
             rounds: Number of rounds.
         """
         variances = dict(chosen)
@@ -349,12 +350,12 @@ class ProjectedRows:
         return variances
 
     def log_likelihood(self, chosen: Mapping[str, float]) -> float:
-        """Restricted log likelihood less the number of noise coefficients (Akaike's penalty).
+        """Restricted log likelihood minus the number of noise coefficients (Akaike's penalty).
 
-        Values are comparable between different noises.
+        Values for different noise models are comparable.
 
         Args:
-            chosen: Variances by kind.
+            chosen: Variances of families, keyed by kind.
         """
         moment, rss = self._measured_products
         indices, variances = self._chosen_columns(chosen)
@@ -374,10 +375,10 @@ class ProjectedRows:
     def solve(self, chosen: Mapping[str, float]) -> Solution:
         """Solve for the unknowns and the coefficients of chosen families.
 
-        The covariance is in proportion to the variance of the remaining white residuals.
+        The covariance is proportional to the variance of the remaining whitened residuals.
 
         Args:
-            chosen: Variances by kind.
+            chosen: Variances of families, keyed by kind.
         """
         moment, rss = self._measured_products
         indices, variances = self._chosen_columns(chosen)

@@ -1,4 +1,4 @@
-"""Forward selection of model error families; the noise is estimated for each set."""
+"""Forward selection of model error families, with the noise estimated for each set."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ MIN_ROWS_PER_UNKNOWN = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Selected families, which raise the likelihood of the measurements.
+    """Selected families of model errors, which increase the likelihood of the measurements.
 
     Attributes:
         products: Projected rows of unknowns and chosen families, under the estimate's noise.
-        variances: Variances by kind, in squares of plausible sizes.
-        gains: Gain of the log likelihood by each kind, all else estimated again without it [nats].
+        variances: Variances keyed by kind, in squares of plausible sizes.
+        gains: Gain of the log likelihood due to each kind, relative to a new fit without it [nats].
         plain: Projected rows of the unknowns alone.
-        taken: Kinds of families to be subtracted from the measurements: significant, physical,
-            lasting, no joint terms, and predictive of held-out rows.
+        taken: Kinds of families to be subtracted from the measurements. They are significant,
+            physical, lasting and predictive of held-out rows, and no joint terms.
     """
 
     products: ProjectedRows
@@ -77,8 +77,8 @@ class _Model:
 
     Attributes:
         products: Projected rows of unknowns and families.
-        variances: Variances by kind.
-        score: Log likelihood less the cost of choices among alternatives.
+        variances: Variances of families, keyed by kind.
+        score: Log likelihood minus the costs of the families.
     """
 
     products: ProjectedRows
@@ -89,7 +89,7 @@ class _Model:
 class Selector:
     """Forward selection of families by restricted likelihood.
 
-    The score of a model is its log likelihood less the costs of its families.
+    The score of a model is its log likelihood minus the costs of its families.
     """
 
     def __init__(
@@ -100,14 +100,15 @@ class Selector:
     ) -> None:
         """Fit the unknowns without families, and set the cost of each family.
 
-        The cost is MAX_ENCODER_GAIN times the encoder noise's share, if columns are noisy, plus the
-        logarithm of the number of alternatives for each chosen pair of columns.
+        The cost is MAX_ENCODER_GAIN times the share of encoder noise in the residuals, if the
+        family's columns are noisy, plus the logarithm of the number of alternatives for each chosen
+        pair of columns.
 
         Args:
             rows: Rows of unknowns, measurements and all families.
             families: Families to select from.
-            encoder_share: Function from mean squared residuals (C,) to the encoder noise's share of
-                them.
+            encoder_share: Function that returns the share of encoder noise in mean squared
+                residuals, (C,).
         """
         self._rows, self._physical = rows, {f.kind for f in families if f.physical}
         self._correctable = {
@@ -124,7 +125,7 @@ class Selector:
                 self._costs[family.kind] += pairs * float(np.log(family.alternatives))
 
     def _plain_noise(self) -> RowNoise:
-        """Noise of the residuals of a fit without families, by iteration from white noise."""
+        """Noise of the residuals of a fit without families, iterated from white noise."""
         rows = self._rows
         noise = _white_noise(rows.fit_noise(rows.measured, 0.0))
         for _ in range(NOISE_ITERATIONS + 1):
@@ -138,7 +139,7 @@ class Selector:
 
         Args:
             products: Projected rows.
-            chosen: Variances by kind.
+            chosen: Variances of families, keyed by kind.
         """
         rows, solution = self._rows, products.solve(chosen)
         unknowns, coefficients = np.split(solution.values, [products.p])
@@ -149,12 +150,13 @@ class Selector:
         return rows.fit_noise(residual * rows.row_mask, solution.freedom)
 
     def select(self) -> Selection:
-        """Select families forward from two noise models, then prune.
+        """Select families by forward selection under two noise models, then prune.
 
         The noise models are that of the fit without families, and `_wide_noise` for up to two
         physical families. The model with the larger score is extended under its own noise; then
-        families of a gain below MIN_GAIN are removed. With a prior, the noise becomes white. No
-        family is selected with fewer than MIN_ROWS_PER_UNKNOWN rows per unknown.
+        families with a gain below MIN_GAIN are removed. If there is a prior, the noise is finally
+        taken as white. No family is selected if there are fewer than MIN_ROWS_PER_UNKNOWN rows per
+        unknown.
         """
         rows, plain = self._rows, self._plain
         best = plain
@@ -188,12 +190,12 @@ class Selector:
     ) -> tuple[str, ...]:
         """Kinds to be corrected: predictive of held-out rows, significant, physical and lasting.
 
-        Significant gains are at least MIN_NAMED_GAIN, with a prior MIN_NAMED_GAIN_WITH_PRIOR. Joint
-        terms are not corrected.
+        Significant gains are at least MIN_NAMED_GAIN or, with a prior, MIN_NAMED_GAIN_WITH_PRIOR.
+        Joint terms are not corrected.
 
         Args:
             model: Selected model.
-            gains: Gains by kind, in decreasing order.
+            gains: Gains keyed by kind, in decreasing order.
         """
         min_gain = (
             MIN_NAMED_GAIN_WITH_PRIOR if len(self._rows.prior) else MIN_NAMED_GAIN
@@ -211,7 +213,7 @@ class Selector:
     def _white_model(self, model: _Model) -> _Model:
         """Model with the same families under white noise in each channel.
 
-        Estimates with a prior weight rows in this way: where model errors are larger than the
+        Rows are weighted in this way if there is a prior: where model errors are larger than the
         noise, whitening amplifies unexplained parts.
         """
         noise = _white_noise(model.products.noise)
@@ -226,7 +228,8 @@ class Selector:
     def _wide_noise(self) -> RowNoise:
         """Noise of the residuals of a fit with all physical families of plausible sizes.
 
-        The noise of the fit without families contains slow model errors; this noise is too white.
+        The noise of the fit without families contains slow model errors; the noise computed here
+        is, in contrast, too white.
         """
         plain = self._plain.products.noise
         white = _white_noise(plain)
@@ -244,13 +247,13 @@ class Selector:
     ) -> dict[str, float]:
         """Variances of families selected one by one under a given noise.
 
-        A step adds the family of `_preferred_kind` and tunes all variances; the last step is that
-        before a score (gain less cost) below MIN_GAIN.
+        Each step adds the family of `_preferred_kind` and tunes all variances. The selection ends
+        if the score of that family, `gain - cost`, is below MIN_GAIN.
 
         Args:
             noise: Noise of the rows.
             candidates: Kinds to select from.
-            start: Variances of families selected before, by kind.
+            start: Variances of previously selected families, keyed by kind.
             max_families: Largest number of families.
         """
         products = ProjectedRows(self._rows, candidates, noise)
@@ -277,12 +280,13 @@ class Selector:
     def _preferred_kind(self, scores: Mapping[str, float]) -> str:
         """Kind with the largest score; a physical or smaller family if nearly as good.
 
-        The largest score counts unless a physical family has more than PHYSICAL_PREFERENCE of it.
-        Of the physical families with FEWER_COLUMNS_PREFERENCE of their largest score, that with the
-        fewest columns is taken.
+        The kind with the largest score is chosen unless a physical family has more than
+        PHYSICAL_PREFERENCE times this score. Of the physical families with at least
+        FEWER_COLUMNS_PREFERENCE times their largest score, the one with the fewest columns is then
+        chosen.
 
         Args:
-            scores: Gain less cost, by kind.
+            scores: Scores `gain - cost`, keyed by kind.
         """
         best = max(scores.values())
         physical = {k: v for k, v in scores.items() if k in self._physical}
@@ -297,13 +301,13 @@ class Selector:
         return min(columns, key=lambda kind: (columns[kind], -physical[kind]))
 
     def _fitted_model(self, chosen: Mapping[str, float], noise: RowNoise) -> _Model:
-        """Model of a set of families, noise and variances estimated alternately.
+        """Model of a set of families, with noise and variances estimated alternately.
 
         Families without gain are dropped.
 
         Args:
-            chosen: First variances by kind.
-            noise: First noise.
+            chosen: Initial variances, keyed by kind.
+            noise: Initial noise.
         """
         kinds, variances = tuple(chosen), dict(chosen)
         for _ in range(NOISE_ITERATIONS):
@@ -315,10 +319,10 @@ class Selector:
         return _scored_model(ProjectedRows(self._rows, kinds, noise), variances, cost)
 
     def _pruned_model(self, model: _Model) -> tuple[_Model, dict[str, float]]:
-        """Model without families of a gain below MIN_GAIN, and gains by kind, in decreasing order.
+        """Model without families whose gain is below MIN_GAIN, and its gains in decreasing order.
 
-        The gain of a family is the loss of score by a fit without it. The family with the smallest
-        gain is removed until all gains suffice.
+        The gain of a family is the loss of score in a fit without it. The family with the smallest
+        gain is removed until all gains are at least MIN_GAIN.
 
         Args:
             model: Model to be pruned.
@@ -364,7 +368,7 @@ def _scored_model(
 
     Args:
         products: Projected rows of unknowns and families.
-        variances: Variances by kind.
+        variances: Variances of families, keyed by kind.
         cost: Penalty on the log likelihood.
     """
     return _Model(products, variances, products.log_likelihood(variances) - cost)

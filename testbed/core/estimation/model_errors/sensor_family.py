@@ -29,7 +29,7 @@ SAMPLING_ERROR = 1e-3
 class SensorFamily(ModelErrorFamily):
     """Systematic sensor error as a family of model errors.
 
-    The default values of the error's keys are the plausible sizes of its coefficients.
+    The default values of the error's fields are the plausible sizes of its coefficients.
     """
 
     def __init__(self, error: type[SystematicError]) -> None:
@@ -50,7 +50,7 @@ class SensorFamily(ModelErrorFamily):
     def coefficient_scales(self, tree: Tree) -> Sequence[tuple[str, str, float]]:
         """Names, units and plausible sizes of the error's coefficients.
 
-        Sizes are the absolute default values; SAMPLING_ERROR for the sampling rate.
+        Sizes are the absolute default values, or SAMPLING_ERROR for the sampling rate.
         """
         coefficients = self.error.coefficients(tree)
         sizes = np.full(len(coefficients), SAMPLING_ERROR)
@@ -62,9 +62,9 @@ class SensorFamily(ModelErrorFamily):
     def columns(self, point: Linearization) -> Array:
         """Effects of the coefficients on the measurements, (m, C, k) [N, N m].
 
-        Errors of the encoders change the positions of the prediction, errors of the plate its
-        wrench, errors of the clock the instants of the wrench. An error of the sampling rate scales
-        velocities and accelerations.
+        Errors of the encoders change the positions used for the prediction, errors of the plate
+        change the wrench, and errors of the clock change the instants of the wrench. An error of
+        the sampling rate scales velocities and accelerations.
         """
         if issubclass(self.error, EncoderError):
             return self._encoder_effects(point, self.error)
@@ -117,7 +117,7 @@ class SensorFamily(ModelErrorFamily):
 
 
 def _plausible_sizes(error: type[SystematicError], count: int) -> Array:
-    """Plausible sizes of the coefficients, the defaults of the error's keys, (count,)."""
+    """Plausible sizes of the coefficients, from the default values of the error, (count,)."""
     values = np.abs(error(**_phase_argument(error)).values)
     return np.resize(values, count)
 

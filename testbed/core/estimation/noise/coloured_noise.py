@@ -2,8 +2,8 @@
 
 Two passes over the rows follow the weighted least-squares solution. The first computes residuals
 with orthonormal columns, so that no accuracy is lost to the condition of the normal equations; the
-second calibrates the covariance by replicas of the noise. Unknowns of the sensors are estimated
-together with the robot's.
+second calibrates the covariance by replicas of the noise. Sensor unknowns are estimated together
+with the robot unknowns.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ def identifiable_constants(products: LaggedProducts) -> tuple[Array, Array]:
     """Separate identifiable channel offsets from offsets collinear with the unknowns.
 
     An eigenvector of the offsets' Schur complement in the normal matrix (lag zero) is identifiable
-    with an eigenvalue above 1e-8 of the largest number of rows.
+    if its eigenvalue exceeds 1e-8 times the largest number of rows.
 
     Args:
         products: Lagged products of the unknowns' columns, residuals and row indicators.
 
     Returns:
-        Orthonormal combinations of the channels with an identifiable offset, (C, k); unknowns with
-            the same effect as each of the other offsets, (C - k, m).
+        Orthonormal channel combinations with an identifiable offset, (C, k), and combinations of
+            the unknowns equivalent to each remaining offset, (C - k, m).
     """
     squares, m = products.products[0], products.unknowns
     mixed = squares[:, :m, -1].T  # (m, C)
@@ -83,10 +83,10 @@ class AveragedFit:
     """Average of the fits with and without constant channel offsets.
 
     Attributes:
-        fit: Estimates of the unknowns, then of the constants; noise of the likelier model.
-        fit_function: Function that computed either fit.
+        fit: Estimates of the unknowns, then of the constants; noise of the more likely model.
+        fit_function: Function that computed both fits.
         directions: Combinations of the channels with a constant offset, (C, k).
-        collinear_unknowns: Unknowns with the same effect as the other offsets, (C - k, m).
+        collinear_unknowns: Combinations of unknowns equivalent to the other offsets, (C - k, m).
         correction: Attenuation correction of the fit without constants; None if columns have no
             noise.
         weight: Weight of the model with constants, 0 to 1.
@@ -102,10 +102,10 @@ class AveragedFit:
     chi_square: float = 0.0
 
     def p_value(self, factor: float) -> float:
-        """P-value of the constants, by a chi-square test; one without constants.
+        """P-value of the constants from a chi-square test; 1 if there are no constants.
 
         Args:
-            factor: Factor by which sigma is larger than by the formula.
+            factor: Ratio of the calibrated to the formal standard deviations.
         """
         count = self.directions.shape[1]
         return (
@@ -119,11 +119,11 @@ def averaged_fit(
 ) -> AveragedFit:
     """Fit under coloured noise, averaged over models with and without constants.
 
-    Weights are Akaike's. Constants need rows without gaps, at least 50, and an identifiable offset.
+    Akaike weights are used. Constants require at least 50 rows, no gaps and an identifiable offset.
 
     Args:
         products: Lagged products of the unknowns' columns, residuals and row indicators.
-        noise: Lagged products of the encoder noise, to be corrected; None for none.
+        noise: Lagged products of the encoder noise in the columns; None for no correction.
         gapless: True if no rows are missing.
     """
     fit_function = whitened_fits if gapless else weighted_fits
@@ -166,9 +166,9 @@ def averaged_fit(
 
 
 def mixture_fit(plain: NoiseFit, extended: NoiseFit, weight: float) -> NoiseFit:
-    """Mixture of the fits without and with constants: mean and covariance.
+    """Mean and covariance of a mixture of the fits without and with constants.
 
-    Without constants, these are zero with zero variance.
+    The fit without constants contributes constants of zero with zero variance.
 
     Args:
         plain: Fit without constants, (m,).
@@ -219,8 +219,8 @@ class GlsSolution:
     Attributes:
         passes: Passes over all rows.
         encoders: Encoder noise.
-        units: Whitening, in whose units all noise has variance one.
-        start: Robot unknowns of the weighted solution before, (p,).
+        units: Whitening, which scales the noise to unit variance.
+        start: Robot unknowns of the preceding weighted solution, (p,).
         products: Lagged products of the rows.
         average: Averaged fit of the correction to the unknowns, in whitened units.
     """
@@ -234,7 +234,7 @@ class GlsSolution:
 
     @property
     def count(self) -> int:
-        """Number of free unknowns, m, which come before the constants in the fit."""
+        """Number m of free unknowns, which precede the constants in the fit."""
         return int(self.units.basis.shape[1])
 
     @cached_property
@@ -270,7 +270,7 @@ class GlsSolution:
 
     @property
     def bias_sigma(self) -> Array:
-        """Standard deviations of the constant offsets by the formula, (C,) [N, N m]."""
+        """Standard deviations of the constant offsets before calibration, (C,) [N, N m]."""
         covariance = self.average.fit.covariance[self.count :, self.count :]
         return standard_deviations(
             self.bias_directions @ covariance @ self.bias_directions.T
@@ -291,9 +291,9 @@ class GlsSolution:
 
 
 class ResidualSums:
-    """Sums of squared residuals, about the mean in channels with a constant.
+    """Sums of squared residuals, relative to the mean in channels with a constant.
 
-    Under noise with a long memory, the estimated constant may lie far from the mean.
+    The mean is used because the estimated constant may be far from it under long-memory noise.
     """
 
     def __init__(self, constant: NDArray[np.bool_]) -> None:
@@ -323,7 +323,7 @@ def generalized_least_squares(
     """Refine a weighted solution by generalised least squares, in one pass.
 
     Args:
-        start: Weighted solution, and the weights in whose units rows are taken.
+        start: Weighted solution, whose weights scale the rows.
         passes: Passes over all rows.
         nuisances: Columns of the sensor unknowns.
     """
@@ -384,7 +384,7 @@ def _noise_model(
         solution: Generalised least-squares solution.
         names: Names of the robot unknowns, (p,).
         factor: Bootstrap factor on standard deviations.
-        share: Part of the whitened residuals' squares due to encoder quantisation.
+        share: Fraction of the whitened residuals' sum of squares due to encoder quantisation.
     """
     average, plan, robot = solution.average, solution.passes.plan, solution.units.basis
     correction, noise = average.correction, average.fit.noise
@@ -410,10 +410,10 @@ def _noise_model(
 def white_noise_sensor_estimate(
     start: solvers.Fit, passes: Passes, nuisances: NuisanceColumns
 ) -> tuple[Array, Array, Array]:
-    """Sensor unknowns under white noise, their standard deviations and shares, (s,) each.
+    """Sensor unknowns under white noise, with standard deviations and shares, (s,) each.
 
-    Accurate enough to correct a recording before the fit that follows. The share is sqrt(1 - R^2)
-    of an unknown's column regressed on all other columns; one for known unknowns.
+    They are accurate enough to correct a recording before the final fit. The share is sqrt(1 - R^2)
+    for the regression of an unknown's column on all other columns; 1 for known unknowns.
 
     Args:
         start: Weighted solution of the robot unknowns.
@@ -465,9 +465,9 @@ def _covariance(solution: GlsSolution, factor: float, count_covariance: Array) -
 
 
 def _encoder_noise(passes: Passes) -> PositionNoise:
-    """Encoder noise in the regressor columns; zero if kinematics are sensed.
+    """Encoder noise in the regressor columns; zero if velocities and accelerations are measured.
 
-    Quantisation counts only where rows are filtered.
+    Quantisation is included only where rows are filtered.
     """
     plan, survey = passes.plan, passes.surveyor.survey()
     inferred = not plan.source.senses_kinematics
@@ -481,14 +481,14 @@ def _flagged_names(flags: Iterable[bool], names: tuple[str, ...]) -> tuple[str, 
     """Names of the unknowns whose flag is set.
 
     Args:
-        flags: Flags, one per unknown; those after the names are ignored.
+        flags: Flags, one per unknown; flags beyond the last name are ignored.
         names: Names of the robot unknowns, (p,).
     """
     return tuple(name for name, flag in zip(names, flags, strict=False) if flag)
 
 
 def _large_components(combinations: Array) -> NDArray[np.bool_]:
-    """True for components above a tenth of the largest of any combination, (p + s,).
+    """Mask of components above a tenth of the largest in some combination, (p + s,).
 
     Args:
         combinations: Components of the combinations, (k, p + s).

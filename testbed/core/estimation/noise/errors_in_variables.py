@@ -25,9 +25,9 @@ NOISE_BLOCK = 1024
 
 
 class PositionNoise:
-    """Simulated encoder noise and quantisation at a plan's rows.
+    """Simulated encoder noise and quantisation at the rows of a plan.
 
-    The noise of a row is the same for any order of windows.
+    The noise of a row does not depend on the order in which windows are processed.
     """
 
     def __init__(self, plan: Plan, sigma: Array, count: Array) -> None:
@@ -52,8 +52,8 @@ class PositionNoise:
     def noisy_columns(self, combinations: Array) -> ColumnFunction | None:
         """Function that simulates encoder noise in combinations of columns; None without noise.
 
-        The function returns the change of the columns, (C, rows, q), by white noise, or for
-        quantised encoders by rounding with encoder zeros that change at random every 1024 samples.
+        The function returns the change of the columns, (C, rows, q), due to white noise or, for
+        quantised encoders, due to rounding with encoder zeros that are redrawn every 1024 samples.
 
         Args:
             combinations: Combinations of the unknowns' columns, (p, q).
@@ -78,10 +78,11 @@ class PositionNoise:
         return columns if self._sigma.any() else None
 
     def replicas(self, values: Array) -> ColumnFunction | None:
-        """Function that requantises positions and predicts rows' errors; None without quantisation.
+        """Function that predicts row errors due to quantisation; None without quantised encoders.
 
-        The function returns a column for each of 24 replicas, (C, rows, 24). Each replica has
-        encoder zeros of its own, which are constant: errors repeat with the motion.
+        The function rounds the positions anew and returns one column for each of 24 replicas,
+        (C, rows, 24). Each replica has  its own constant encoder zeros, so that errors repeat with
+        the motion.
 
         Args:
             values: Unknowns, (p,).
@@ -138,8 +139,9 @@ class PositionNoise:
     def _smooth_positions(self, signals: SignalWindow) -> Array:
         """Low-passed positions of quantised encoders around the rows, (samples, coarse) [rad or m].
 
-        The number of quantised encoders is `coarse`. The low-pass is that of the plan on rows, with
-        odd reflection at the ends; samples reach half a kernel beyond the first and the last row.
+        `coarse` is the number of quantised encoders. The low-pass is the plan's filter on rows,
+        with odd reflection at the ends; the samples extend half a kernel beyond the first and the
+        last row.
 
         Args:
             signals: Signals of the window.
@@ -188,7 +190,7 @@ def motion_at_rows(signals: SignalWindow) -> Array:
 
 
 def column_changes(plan: Plan, motion: Array, noise: Array, basis: Array) -> Array:
-    """Change of combined columns by noise in the motion, to second order, (C, rows, q).
+    """Change of combined columns due to noise in the motion, to second order, (C, rows, q).
 
     It is half the difference of the columns with the noise added and subtracted.
 
@@ -196,7 +198,7 @@ def column_changes(plan: Plan, motion: Array, noise: Array, basis: Array) -> Arr
         plan: Plan of the rows.
         motion: Positions, velocities, accelerations, (3, rows, n).
         noise: Noise of the motion, (3, rows, n).
-        basis: Combinations of the columns, (P, q).
+        basis: Combinations of the P regressor columns, (P, q).
     """
     disturbed = np.concatenate([motion + noise, motion - noise], axis=1)
     above, below = np.split(motion_rows(plan, *disturbed), 2, axis=1)
@@ -219,7 +221,7 @@ class AttenuationCorrection:
         fit: Corrected values and covariance.
         directions: Combinations of the unknowns with unit normal matrix before the correction, (m,
             m).
-        share: Part of each combination's squared column that is noise, (m,).
+        share: Noise fraction of each combination's squared column, (m,).
     """
 
     fit: NoiseFit
@@ -227,10 +229,10 @@ class AttenuationCorrection:
     share: Array
 
     def noise_limited(self, basis: Array) -> NDArray[np.bool_]:
-        """True for parameters with more noise than REPORTED_NOISE_SHARE in their information, (p,).
+        """Mask of parameters whose information contains more noise than REPORTED_NOISE_SHARE, (p,).
 
-        The information is the inverse variance before the correction; noise is the part by which it
-        exceeds that after the subtraction of noise.
+        The information is the inverse variance. Its noise is the relative decrease when the
+        expected noise is subtracted from the normal matrix.
 
         Args:
             basis: Map from the unknowns to the parameters, (p, m).
@@ -248,12 +250,11 @@ def correct_attenuation(fit: NoiseFit, noise: LaggedProducts) -> AttenuationCorr
     """Correct a fit for the attenuation by noise in its columns.
 
     The expected noise, at most MAX_NOISE_SHARE of each direction, is subtracted from the normal
-    matrix in its generalised eigenvectors.
+    matrix along its generalised eigenvectors.
 
     Args:
         fit: Fit with noise in its columns.
-        noise: Lagged products of the noise in the unknowns' columns, in the residuals, and of row
-            indicators.
+        noise: Lagged products of the noise in the columns and residuals, and of row indicators.
     """
     m = len(fit.values)
     white, root = fit.normal(noise), matrix_square_root(fit.inverse)

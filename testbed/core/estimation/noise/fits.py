@@ -1,18 +1,19 @@
 """Weighted and generalised least squares under coloured noise, from lagged products.
 
-Channels whose rows have no gaps are whitened by the autoregression of their noise before they are
-weighted: generalised least squares. Rows that are dropped at a joint's reversals break the
-sequence: such channels are weighted only, and the covariance counts the autocovariance of their
-residuals.
+Channels whose rows have no gaps are whitened by an autoregression of their noise before they are
+weighted (generalised least squares). Rows dropped at the velocity reversals of a joint break the
+sequence: such channels are only weighted, and the covariance accounts for the autocovariance of
+their residuals.
 
 Residuals are smaller than the noise, because the unknowns fit a part of it. In generalised least
-squares this part is known, E r r' = E e e' - X G X' with G the covariance of the unknowns, and it
-is added back in each iteration: restricted maximum likelihood. For rows with gaps it is added at
-each lag as if their noise were white.
+squares this part is known, E r r' = E e e' - X G X', where G is the covariance of the unknowns, and
+it is added back in each iteration (restricted maximum likelihood). For rows with gaps, it is added
+at each lag as if their noise were white.
 
-Columns of the products: the unknowns' columns, then the residuals, then row indicators (one in rows
-that count). Rows come in units in which every channel's noise is about one. R responses with the
-same columns, such as replicas of noise, are fitted side by side, each with its own noise.
+The columns of the products are those of the unknowns, then the residuals, then row indicators (one
+for rows that are used). Rows are scaled so that the noise of every channel is about one. R
+responses with the same columns, such as replicas of noise, are fitted in parallel, each with its
+own noise.
 
 Source    [PT71], [CR00] of autoregressions
 """
@@ -48,7 +49,7 @@ class NoiseFit:
 
     Attributes:
         values: Unknowns, (m,).
-        covariance: Covariance by the formula of the fit, (m, m).
+        covariance: Formal covariance of the fit, (m, m).
         noise: Autoregression of the residuals.
         weighting: Autoregression that whitened and weighted the rows; order zero for rows with
             gaps.
@@ -82,7 +83,7 @@ def whitened_fits(products: LaggedProducts, order: int | None = None) -> list[No
 
     Args:
         products: Lagged products of the unknowns' columns, residuals and row indicators.
-        order: Order of the noise; None for that of the least Akaike criterion for the first
+        order: Order of the autoregression; None to minimise Akaike's criterion for the first
             response.
     """
     unlagged = products.with_max_lag(0)
@@ -117,13 +118,13 @@ def whitened_fits(products: LaggedProducts, order: int | None = None) -> list[No
 def weighted_fits(products: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
     """Weighted least squares for rows with gaps, one fit per response.
 
-    The covariance counts the autocovariance of the residuals (sandwich formula), with at least a
-    tenth of the variance under white noise. Autocovariances at high lags are extrapolated.
+    The covariance accounts for the autocovariance of the residuals (sandwich formula) and is at
+    least a tenth of that under white noise. Autocovariances at high lags are extrapolated.
 
     Args:
         products: Lagged products of the unknowns' columns, residuals and row indicators.
-        order: Order of the returned noise, without effect on values and covariance; None for the
-            largest lag.
+        order: Order of the returned autoregression, which does not affect values and covariance;
+            None for the largest lag.
     """
     m, unlagged = products.unknowns, products.with_max_lag(0)
     counts = products.products[:, :, -1, -1].T  # (C, K + 1)
@@ -160,8 +161,8 @@ def weighted_fits(products: LaggedProducts, order: int | None = None) -> list[No
 def _max_order(products: LaggedProducts, unknowns: int) -> int:
     """Largest order that leaves enough rows for unknowns and coefficients.
 
-    There are at least ten rows per lag, and, after whitening, two rows (of all channels) per
-    unknown.
+    The order leaves at least ten rows per lag and, after whitening, two rows (over all channels)
+    per unknown.
 
     Args:
         products: Lagged products.
@@ -182,7 +183,7 @@ def _max_order(products: LaggedProducts, unknowns: int) -> int:
 
 
 def _raised_covariance(share: float, reference: Array, matrix: Array) -> Array:
-    """Covariance raised to at least a share of another in every direction.
+    """Covariance raised to at least a fraction of a reference in every direction.
 
     Args:
         share: Smallest ratio of variances.
@@ -203,7 +204,7 @@ class _WeightedSolutions(NamedTuple):
         values: Unknowns, (R, m).
         inverse: Inverses of the normal matrices, (R, m, m).
         sigma: Standard deviation of every channel's noise, (R, C).
-        freedom: Degrees of freedom of each channel that the unknowns take, (R, C).
+        freedom: Degrees of freedom that the unknowns use in each channel, (R, C).
     """
 
     values: Array
@@ -219,13 +220,14 @@ def _reweighted_least_squares(
 ) -> _WeightedSolutions:
     """Weighted least-squares solutions, with channel weights by iterative reweighting.
 
-    Weights are inverse residual variances per degree of freedom, in three iterations.
+    Weights are inverse residual variances, which are computed per degree of freedom in three
+    iterations.
 
     Args:
         products: Lagged products.
         rows: Number of rows, (C,) or the same for all channels.
-        coefficients: Coefficients of the whitening autoregressions, (R, C, P); None for no
-            whitening.
+        coefficients: Coefficients of the whitening autoregressions of order P, (R, C, P); None for
+            no whitening.
     """
     m, trials, channels = (
         products.unknowns,
@@ -281,18 +283,18 @@ def _noise_moments(
 ) -> Array:
     """Moments of the noise, sums of e_(t-i) e_(t-j), (R, C, P + 1, P + 1).
 
-    Sums are over t >= P, the order; the part of the noise that the unknowns fit is added back
-    (`_noise_forms`).
+    Sums are over t >= P, where P is the order. The part of the noise that the unknowns fit is added
+    back (`_noise_forms`).
     """
     floor = MIN_SIGMA**2 * products.rows_with_history(order) * np.eye(order + 1)
     return products.moments(_noise_forms(products, weighted), order) + floor
 
 
 def _noise_forms(products: LaggedProducts, weighted: _WeightedSolutions) -> Array:
-    """Quadratic form of the squared noise in a row's columns, (R, q, q).
+    """Quadratic form in the columns of a row that gives the expected squared noise, (R, q, q).
 
-    It is b b' of the residual's combination b, plus the covariance of the unknowns, which adds back
-    the part of the noise that the unknowns fit.
+    It is b b', where b is the column combination of the residual, plus the covariance of the
+    unknowns, which adds back the part of the noise that the unknowns fit.
     """
     m, forms = (
         products.unknowns,
@@ -303,7 +305,7 @@ def _noise_forms(products: LaggedProducts, weighted: _WeightedSolutions) -> Arra
 
 
 def _residual_combinations(products: LaggedProducts, values: Array) -> Array:
-    """Combinations b of the columns of a row z with residual b' z, (R, q)."""
+    """Column combinations b that give the residual b' z of a row z, (R, q)."""
     trials, m = values.shape
     combinations = np.zeros((trials, products.products.shape[2]))
     combinations[:, :m], combinations[range(trials), range(m, m + trials)] = (
@@ -319,10 +321,11 @@ def _outer_products(combinations: Array) -> Array:
 
 
 def _extrapolate_autocovariances(covariances: Array, rows: int) -> None:
-    """Replace autocovariances at high lags by an autoregression's, in place.
+    """Replace autocovariances at high lags by values from an autoregression, in place.
 
-    The autoregression is that of the least Akaike criterion; high lags are those beyond its order.
-    Sums over few rows are mostly error, and the variance of a slow column adds up all their errors.
+    The order of the autoregression minimises Akaike's criterion, and high lags are those beyond
+    this order. Sample autocovariances at high lags are mostly estimation error, which accumulates
+    in the variance of slowly varying columns.
 
     Args:
         covariances: Autocovariances of the channels, (C, K + 1).
@@ -351,7 +354,7 @@ def _toeplitz(covariances: Array, order: int) -> Array:
 
 
 def _yule_walker(covariances: Array, order: int) -> Autoregression:
-    """Autoregression of given autocovariances, (C, K + 1), by Yule-Walker equations."""
+    """Autoregression with given autocovariances, (C, K + 1), from the Yule-Walker equations."""
     moments = _toeplitz(covariances, order)
     coefficients = fit_autoregression(moments, order)
     variance = innovation_variance(moments, coefficients)

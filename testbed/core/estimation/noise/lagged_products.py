@@ -1,7 +1,7 @@
 """Lagged products of regression rows, the statistics of fits under coloured noise.
 
-Whitening by an autoregression, its coefficients, and the covariance of a fit that is not whitened
-are all sums of these products. One pass over the rows is enough, whatever their number.
+Whitened normal equations, the coefficients of the whitening autoregression, and the covariance of
+an unwhitened fit are all sums of these products. A single pass over the rows is sufficient.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ MAX_ROOT = 0.998
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
-    """Autoregressive noise of C channels, e_t = sum over i of a_i e_(t-i) + u_t.
+    """Autoregressive noise `e_t = sum over i of a_i e_(t-i) + u_t` of C channels.
 
     Attributes:
-        coefficients: Coefficients a, (C, P).
+        coefficients: Coefficients a of order P, (C, P).
         sigma: Standard deviations of the innovations u, (C,).
     """
 
@@ -41,7 +41,7 @@ class Autoregression:
 
     @property
     def decay_rows(self) -> Array:
-        """Rows in which the slowest mode of each channel's noise decays to 1/e, (C,)."""
+        """Decay time of the slowest noise mode of each channel to 1/e, (C,) [rows]."""
         with np.errstate(divide="ignore"):  # white noise has none
             return np.asarray(-1 / np.log(_largest_roots(self.coefficients)))
 
@@ -49,7 +49,8 @@ class Autoregression:
 def fit_autoregression(moments: Array, order: int) -> Array:
     """Fit coefficients of a stable autoregression by least squares, (..., P).
 
-    Characteristic roots beyond MAX_ROOT are scaled down, all of a channel by the same factor.
+    Characteristic roots with magnitudes above MAX_ROOT are scaled down, with one factor for all
+    roots of a channel.
 
     Args:
         moments: Sums of e_(t-i) e_(t-j) over the same t, (..., K + 1, K + 1), K >= P.
@@ -90,7 +91,7 @@ def innovation_variance(moments: Array, coefficients: Array) -> Array:
 def best_order(
     moments: Array, rows: int, highest: int = MAX_AUTOREGRESSION_ORDER
 ) -> int:
-    """Order with the least Akaike criterion, 1 to `highest`, common to all channels.
+    """Order from 1 to `highest` that minimises Akaike's criterion, common to all channels.
 
     Args:
         moments: Moments as for `fit_autoregression`, K >= highest.
@@ -129,7 +130,7 @@ class NoiseGenerator:
     def __init__(
         self, noise: Autoregression, replicas: int, rng: np.random.Generator
     ) -> None:
-        """Simulate the rows before the first, so that the noise is stationary.
+        """Simulate rows before the first row, so that the noise is stationary.
 
         Args:
             noise: Autoregression to simulate.
@@ -166,13 +167,15 @@ class NoiseGenerator:
 class LaggedProducts:
     """Lagged products of rows z_t of C channels and q columns, in S sequences.
 
-    Fits take the columns for those of m unknowns, then R responses, then row indicators.
+    Fits interpret the columns as those of m unknowns, then R responses, then row indicators (one
+    for rows that are used, else zero).
 
     Attributes:
         rows: Number of rows in all sequences.
-        products: Sums of z_t z_(t-k)' over t >= k, by lag k = 0 ... K, (K + 1, C, q, q).
+        products: Sums of z_t z_(t-k)' over t >= k, for lags k = 0 ... K, (K + 1, C, q, q).
         first: First K rows of each sequence, (S, C, K, q); zeros where there are fewer.
-        last: Last K rows in the order of time, (S, C, K, q); zeros before the first row.
+        last: Last K rows of each sequence in chronological order, (S, C, K, q); zeros before its
+            first row.
         responses: Number of responses, R.
     """
 
@@ -196,7 +199,7 @@ class LaggedProducts:
         """Number of rows with at least `order` earlier rows in the same sequence.
 
         Args:
-            order: Number of rows before.
+            order: Number of earlier rows.
         """
         return self.rows - order * len(self.first)
 
@@ -207,7 +210,7 @@ class LaggedProducts:
         return self.products.reshape(lags * channels, columns**2)
 
     def with_max_lag(self, lag: int) -> LaggedProducts:
-        """Products of fewer lags.
+        """Products for lags up to a given maximum.
 
         Args:
             lag: Largest lag, at most K.
@@ -218,7 +221,7 @@ class LaggedProducts:
         return replace(self, products=self.products[: lag + 1], first=first, last=last)
 
     def columns(self, indices: Ints) -> LaggedProducts:
-        """Products of some of the columns, in any order, as a copy.
+        """Copy of the products of selected columns, in any order.
 
         Args:
             indices: Column indices.
@@ -251,7 +254,7 @@ class LaggedProducts:
         return np.asarray(total + total.swapaxes(1, 2)) / 2
 
     def traces(self, inner: Array) -> Array:
-        """Traces of each lag's products times a matrix, (R, C, K + 1).
+        """Traces of the products of each lag and channel times a matrix, (R, C, K + 1).
 
         Args:
             inner: Symmetric matrices, (R, q, q).
@@ -260,7 +263,7 @@ class LaggedProducts:
         return traces.reshape(len(inner), *self.products.shape[:2]).swapaxes(1, 2)
 
     def squares(self, combinations: Array) -> Array:
-        """Quadratic forms b' A b of each lag's products A, (R, C, K + 1).
+        """Quadratic forms `b' A b` of the products A of each lag and channel, (R, C, K + 1).
 
         Args:
             combinations: Vectors b, (R, q).
@@ -290,11 +293,12 @@ class LaggedProducts:
     def with_constants(self, directions: Array) -> LaggedProducts:
         """Products with columns of constants inserted after the unknowns' columns.
 
-        A constant's column in a channel is the row indicator times the channel's component.
+        In each channel, the column of a constant is the row indicator times the channel's
+        component.
 
         Args:
-            directions: Combinations of the channels with a constant, (C, k); unchanged products for
-                k = 0.
+            directions: Channel combinations with a constant offset, (C, k); for k = 0, the products
+                are unchanged.
         """
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
@@ -312,13 +316,14 @@ class LaggedProducts:
 class WhitenedProducts:
     """Products of whitened rows e_t = z_t - sum of a_i z_(t-i), for R autoregressions.
 
-    With alpha = (1, -a), they are the products of lag k = 0 ... P times the sum of alpha_i
-    alpha_(i+k), less those of e_t before t = P and after the last row, where z is zero. Only sums
-    of them are available, so that products are read once for all whitenings.
+    With alpha = (1, -a), they are the sum over lags k = 0 ... P of the lagged products times the
+    sum of alpha_i alpha_(i+k), from which the products of e_t before t = P and after the last row,
+    where z is zero, are subtracted. Only sums of whitened products are available, so that the
+    lagged products are read once for all whitenings.
     """
 
     def __init__(self, products: LaggedProducts, coefficients: Array) -> None:
-        """Compute the weights of the lags, and the rows at the ends of sequences.
+        """Compute the weights of the lags and the whitened rows at the ends of sequences.
 
         Args:
             products: Lagged products of the rows.
@@ -366,7 +371,7 @@ class WhitenedProducts:
         return np.asarray(whole - edges.sum(axis=(1, 3, 4)))
 
     def squares(self, combinations: Array) -> Array:
-        """Sums of squares of a combination of whitened columns, by channel, (R, C).
+        """Sum of squares of a combination of whitened columns in each channel, (R, C).
 
         Args:
             combinations: Combination of the columns for each whitening, (R, q).
@@ -380,7 +385,7 @@ def _edge_rows(products: LaggedProducts, alpha: Array) -> Array:
     """Whitened rows before t = P and after the last row, (R, 2 S, C, P, q).
 
     Args:
-        products: Lagged products up to lag P; rows beyond a sequence count as zero.
+        products: Lagged products up to lag P; rows outside of a sequence are taken as zero.
         alpha: Coefficients of the whitening filters, (R, C, P + 1).
     """
     order = alpha.shape[2] - 1
@@ -406,7 +411,7 @@ def _row_products(rows: Array, matrices: Array) -> Array:
 class LaggedSums:
     """Accumulator of lagged products over blocks of consecutive rows.
 
-    In each channel only columns with nonzero entries in or just before the block are multiplied.
+    In each channel, only columns with nonzero entries in or just before the block are multiplied.
     """
 
     def __init__(self, lags: int) -> None:
@@ -422,7 +427,7 @@ class LaggedSums:
         self._begin_sequence()
 
     def _begin_sequence(self) -> None:
-        """Start a sequence without rows."""
+        """Start an empty sequence."""
         self._sequence_rows = 0
         self._first: list[Array] = []
         self._recent: Array | None = None

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize_scalar
 
 from testbed.core.base.arrays import Array
 
@@ -18,9 +16,10 @@ MAX_REPEAT_DIFFERENCE = 1e-3
 def period_of(position: Array) -> int | None:
     """Period of a motion in samples, from encoder positions; None without a repetition.
 
-    The period is the lag of the first minimum of the semivariogram below MAX_REPEAT_DIFFERENCE,
-    after a value above 0.3; signals have variance one, and joints with less than 1 % of the largest
-    spread are ignored. A recording shows a period only if it lasts one and a half periods at least.
+    The period is the lag of the first minimum of the semivariogram below MAX_REPEAT_DIFFERENCE
+    after a value above 0.3. Signals are scaled to unit variance, and joints with less than 1 % of
+    the largest standard deviation are ignored. A period is detected only if the recording lasts at
+    least one and a half periods.
 
     Args:
         position: Positions at evenly spaced times, (m, n) [rad or m].
@@ -53,14 +52,17 @@ def period_of(position: Array) -> int | None:
 def lag_of(position: Array, other: Array) -> float | None:
     """Lag of a second recording of the same motion, in samples; None for another motion.
 
-    Sample k of the first recording has the pose of sample k + lag of the second. The same motion
-    has half a mean square difference below MAX_REPEAT_DIFFERENCE, in units of each joint's
-    variance; joints with less than 1 % of the largest spread are ignored.
+    Sample k of the first recording has the pose of sample k + lag of the second. The motions are
+    the same if half the mean square difference, in units of each joint's variance, is below
+    MAX_REPEAT_DIFFERENCE. Joints with less than 1 % of the largest standard deviation are ignored.
 
     Args:
         position: Positions at evenly spaced times, (m, n) [rad or m].
         other: Positions of the second recording, (k, n) [rad or m].
     """
+    from scipy.interpolate import CubicSpline  # half a second, of rare use
+    from scipy.optimize import minimize_scalar
+
     centre, spread = position.mean(axis=0), position.std(axis=0)
     moving = spread > 1e-2 * spread.max(initial=0.0)
     if not moving.any():
@@ -111,19 +113,19 @@ class NoiseModel:
     Attributes:
         order: Order of each channel's autoregression; 0 for white noise.
         memory: Time in which the slowest mode of each channel's noise decays to 1/e, (C,) [s].
-        factor: Bootstrap factor by which sigma is larger than by the formula.
+        factor: Ratio of the standard deviations from the bootstrap to the formal ones.
         bias: Constant offsets of the channels, times `bias_weight`, (C,) [N, N m]; zero if not
             estimated.
         bias_sigma: Standard deviations of the constant offsets, (C,) [N, N m].
         bias_chance: P-value of the constant offsets.
         bias_weight: Weight of the fit with constants in the average, 0 to 1.
         span: Duration of the recording [s].
-        hidden: Parameters that no motion can separate from a constant of a channel.
-        noise_limited: Parameters whose columns, alone or together, are in large part encoder noise:
-            sigma does not hold for them.
+        hidden: Parameters that no motion can separate from a constant channel offset.
+        noise_limited: Parameters whose columns, alone or in combination, contain so much encoder
+            noise that their standard deviations are unreliable.
         least_counts: Least counts of quantised encoders, zero for others, (n,) [rad or m]; empty if
             there are none.
-        by_counts: Part of the whitened residuals' squares due to quantisation.
+        by_counts: Fraction of the whitened residuals' sum of squares due to quantisation.
     """
 
     order: int
@@ -141,6 +143,6 @@ class NoiseModel:
 
     @property
     def quantization_matters(self) -> bool:
-        """True if quantisation causes more than 5 % of the whitened residuals' squares."""
+        """True if quantisation causes more than 5 % of the whitened residuals' sum of squares."""
         # part of the whitened residuals' squares above which there is a warning
         return self.by_counts > 0.05

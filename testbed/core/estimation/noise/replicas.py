@@ -48,7 +48,7 @@ class Replicas:
 
         Args:
             columns: Columns of the unknowns, (C, rows, m).
-            ones: One where a row counts, else zero, (C, rows).
+            ones: Row indicators, one for rows that are used, else zero, (C, rows).
         """
         counts = ones[..., None]
         noise = self._generator.rows(columns.shape[1]) * counts
@@ -66,12 +66,12 @@ class Replicas:
     def normalised_squares(
         self, fit_function: FitFunction, basis: Array, directions: Array | None = None
     ) -> Array:
-        """Squared estimates from noise alone, over their variances by the formula, (R, p).
+        """Squared estimates from noise alone, divided by their formal variances, (R, p).
 
         Args:
             fit_function: Function that fitted the rows.
             basis: Map from the rows' unknowns to the parameters, (p, m).
-            directions: Combinations of the channels with a constant, (C, k); None for none.
+            directions: Channel combinations with a constant offset, (C, k); None without constants.
         """
         products = self.products
         if directions is not None:
@@ -85,7 +85,7 @@ class Replicas:
 
 
 def _normalised_squares(fit: NoiseFit, basis: Array) -> Array:
-    """Squared parameters of a fit, over their variances by the formula, (p,).
+    """Squared parameters of a fit, divided by their formal variances, (p,).
 
     Args:
         fit: Fit of one replica.
@@ -99,7 +99,7 @@ def _normalised_squares(fit: NoiseFit, basis: Array) -> Array:
 
 
 class Bootstrap:
-    """Parametric bootstrap of the factor on standard deviations."""
+    """Parametric bootstrap of the correction factor for standard deviations."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class Bootstrap:
 
         Args:
             noise: Autoregression of the residuals.
-            directions: Combinations of the channels with a constant, (C, k).
+            directions: Channel combinations with a constant offset, (C, k).
             basis: Map from the rows' unknowns to the parameters, (p, m).
         """
         self._directions, self._basis = directions, basis
@@ -123,10 +123,10 @@ class Bootstrap:
 
     @timed_stage("sigma from replicas of noise")
     def result(self, fit_function: FitFunction) -> float:
-        """Factor on standard deviations, at least one.
+        """Correction factor for standard deviations, at least one.
 
-        It is the rms over replicas and parameters of estimates from noise alone, in units of sigma
-        by the formula.
+        It is the RMS, over replicas and parameters, of estimates from noise alone divided by their
+        formal standard deviations.
 
         Args:
             fit_function: Function that fitted the rows.
@@ -144,7 +144,7 @@ class QuantizationSums:
         """Start with zero sums.
 
         Args:
-            fit: Fit of the unknowns, with or without constants after them.
+            fit: Fit of the unknowns, which constants may follow.
             count: Number of unknowns, m.
         """
         self._fit, self._inverse = fit, fit.inverse[:count, :count]
@@ -158,7 +158,7 @@ class QuantizationSums:
             self._rows += rows.ones.size
 
     def result(self) -> tuple[Array, float]:
-        """Covariance due to quantisation, (m, m), and share of the whitened residuals' squares.
+        """Covariance, (m, m), and fraction of squared whitened residuals due to quantisation.
 
         Both are zero without quantised encoders.
         """

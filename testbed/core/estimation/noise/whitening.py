@@ -1,6 +1,7 @@
 """Whitened regression rows: unit noise in all channels, orthonormal robot columns.
 
-Sensor unknowns are estimated beside the robot's; linear constraints leave fewer of them free.
+Sensor unknowns are estimated together with the robot unknowns; linear constraints reduce the number
+of free unknowns.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ from testbed.core.kernel.layout import Layout
 
 @dataclass(frozen=True, eq=False)
 class NuisanceColumns:
-    """Columns of the sensor unknowns beside the robot's.
+    """Regressor columns of the sensor unknowns, with constraints on all unknowns.
 
     Attributes:
-        columns: Function that computes the columns; None for none.
+        columns: Function that computes the columns; None without sensor unknowns.
         count: Number of sensor unknowns, s.
-        constraints: Linear constraints on robot and sensor unknowns, still to be imposed; None for
-            none.
+        constraints: Linear constraints on robot and sensor unknowns, yet to be imposed; None
+            without constraints.
     """
 
     columns: ColumnFunction | None = None
@@ -45,14 +46,14 @@ class NuisanceColumns:
 
 
 class WhitenedRows(NamedTuple):
-    """Block of regressor rows and residuals, whitened to unit noise, and as measured.
+    """Block of k regressor rows and residuals, whitened to unit noise and in measured units.
 
     Attributes:
-        columns: Columns of robot and sensor unknowns, (C, k, q).
+        columns: Whitened columns of robot and sensor unknowns, (C, k, q).
         white: Whitened residuals, (C, k).
-        ones: One where a row counts, else zero, (C, k).
-        measured: Residuals as measured, (C, k) [N, N m].
-        sensors: Columns of the sensor unknowns as measured, (C, k, s) [N or N m per unit].
+        ones: Row indicators, one for rows that are used, else zero, (C, k).
+        measured: Residuals in measured units, (C, k) [N, N m].
+        sensors: Columns of the sensor unknowns in measured units, (C, k, s) [N or N m per unit].
         noise_columns: Columns from simulated encoder noise, (C, k, r).
     """
 
@@ -77,7 +78,7 @@ class ProductsWithNoise(NamedTuple):
 
 
 def row_indicators(columns: Array, measured: Array) -> Array:
-    """Row indicators: one where a row counts, zero where it was dropped, (C, k).
+    """Row indicators: one for rows that are used, zero for dropped rows, (C, k).
 
     Args:
         columns: Columns of the rows, (C, k, q).
@@ -88,13 +89,13 @@ def row_indicators(columns: Array, measured: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Units in which all noise is one and the robot's columns are orthonormal.
+    """Scaling to unit noise and to orthonormal columns of the robot unknowns.
 
     Attributes:
         root: Square roots of the channels' weights, (C,).
         white: Map from whitened to robot unknowns, (p, p).
         nuisances: Columns of the sensor unknowns.
-        offset: Whitened unknowns where the free unknowns are zero, (p + s,).
+        offset: Whitened unknowns for free unknowns of zero, (p + s,).
         free: Null space of the constraints on the whitened unknowns; None without constraints.
     """
 
@@ -121,14 +122,15 @@ class Whitening:
 
     @property
     def fixed_values(self) -> Array:
-        """Robot and sensor unknowns where the free unknowns are zero, (p + s,)."""
+        """Robot and sensor unknowns for free unknowns of zero, (p + s,)."""
         return self.full_map @ self.offset
 
     def free_columns(self, columns: Array) -> Array:
-        """Columns of the free unknowns, then any columns after the unknowns', (C, k, q).
+        """Columns of the free unknowns, followed by any additional columns, (C, k, q).
 
         Args:
-            columns: Columns of all whitened unknowns, and any after them, (C, k, q).
+            columns: Columns of all whitened unknowns, followed by any additional columns,
+                (C, k, q).
         """
         if self.free is None:
             return columns
@@ -140,7 +142,7 @@ class Whitening:
     def free_products(self, products: LaggedProducts) -> LaggedProducts:
         """Lagged products for the free unknowns, with the fixed part of the residuals subtracted.
 
-        The fixed part is the prediction of `fixed_values`, where the free unknowns are zero.
+        The fixed part is the prediction from `fixed_values`.
 
         Args:
             products: Lagged products of all unknowns' columns, residuals and row indicators.
@@ -159,12 +161,12 @@ class Whitening:
     ) -> Iterator[WhitenedRows]:
         """Yield whitened rows, block by block.
 
-        Residuals are measurements minus the prediction by `values`; sensor unknowns are zero.
+        Residuals are measurements minus the prediction from `values`, with sensor unknowns of zero.
 
         Args:
             passes: Passes over all rows.
             values: Robot unknowns whose prediction is subtracted, (p,).
-            noise_columns: Function that simulates encoder noise in the columns; None for none.
+            noise_columns: Function that simulates encoder noise in the columns; None for no noise.
         """
         combinations, root = np.column_stack([self.white, values]), self.root[:, None]
         blocks = passes.rows_with_columns(
@@ -199,7 +201,7 @@ class Whitening:
             passes: Passes over all rows.
             values: Robot unknowns whose prediction is subtracted, (p,).
             lags: Largest lag.
-            encoders: Encoder noise to simulate in the columns; None for none.
+            encoders: Encoder noise to simulate in the columns; None for no noise.
         """
         is_wrench = passes.plan.layout.model == "wrench"
         sums = LaggedSums(lags)
@@ -222,7 +224,7 @@ class Whitening:
     def _noise_block(self, noise: Array) -> Array:
         """Encoder noise of columns and residuals, in the layout of rows, (C, k, p + s + 2).
 
-        Sensor columns and row indicators have none.
+        Sensor columns and row indicators have no noise.
 
         Args:
             noise: Noise of the robot's columns and of the prediction, (C, k, p + 1).
@@ -237,14 +239,14 @@ class Whitening:
 def whitening_of(
     start: solvers.Fit, nuisances: NuisanceColumns, layout: Layout
 ) -> Whitening:
-    """Whitening by the weights and the normal matrix of a weighted solution.
+    """Whitening from the weights and the normal matrix of a weighted solution.
 
-    Columns are made orthonormal from the bedplate outward, so that the row of a joint has nonzero
-    entries only in the last columns, those of its subtree or few more. Constraints reduce the free
-    unknowns.
+    Columns are orthonormalised from the bedplate outward, so that the row of a joint has nonzero
+    entries only in the last columns, mainly the columns of its subtree. Constraints reduce the
+    number of free unknowns.
 
     Args:
-        start: Weighted solution, and the weights in whose units rows are taken.
+        start: Weighted solution, whose weights scale the rows.
         nuisances: Columns of the sensor unknowns.
         layout: Layout of the rows.
     """

@@ -43,7 +43,7 @@ def total_mass(tree: Tree, minimal: MinimalSet) -> Array:
 def centre_of_mass(tree: Tree, minimal: MinimalSet, name: str, value: float) -> Array:
     """Coefficients of a combination that is zero for the given centre of mass, (N,) [kg m].
 
-    The combination is the bodies' first moment less `value` times their mass.
+    The combination is `moment - value * mass`, with the bodies' first moment and total mass.
 
     Args:
         tree: Robot.
@@ -52,7 +52,7 @@ def centre_of_mass(tree: Tree, minimal: MinimalSet, name: str, value: float) -> 
         value: Coordinate of the centre of mass [m].
 
     Raises:
-        UnknownName: There is no such axis or joint.
+        UnknownName: The axis or a joint does not exist.
         SettingsError: The posture is malformed, or the minimal parameters do not determine the
             moment.
     """
@@ -84,7 +84,7 @@ def _posture_positions(tree: Tree, name: str, posture: str) -> Array:
         posture: Text of the joint positions [rad or m]; "" for all zero.
 
     Raises:
-        UnknownName: There is no such joint.
+        UnknownName: A joint does not exist.
         SettingsError: A position is no finite number.
     """
     q = np.zeros(tree.n)
@@ -102,12 +102,12 @@ def _posture_positions(tree: Tree, name: str, posture: str) -> Array:
 
 
 def _static_wrench_regressor(tree: Tree, q: Array, gravity_axis: int) -> Array:
-    """Static wrench of a unit of each barycentric parameter under unit gravity, (6, 10 n).
+    """Static wrench per unit of each barycentric parameter under unit gravity, (6, 10 n).
 
     Args:
         tree: Robot.
         q: Joint positions, (n,).
-        gravity_axis: Axis against which gravity of 1 m/s^2 points.
+        gravity_axis: Index of the axis along whose negative direction gravity of 1 m/s^2 acts.
     """
     gravity = -np.eye(3)[gravity_axis]
     return np.asarray(
@@ -124,7 +124,7 @@ def _minimal_combination(minimal: MinimalSet, functional: Array, name: str) -> A
         name: Name of the functional, for the error message.
 
     Raises:
-        SettingsError: The minimal parameters do not determine it.
+        SettingsError: The minimal parameters do not determine the functional.
     """
     functional = np.where(minimal.known_zero.ravel(), 0.0, functional)
     combination = functional @ minimal.lift
@@ -152,10 +152,10 @@ class LinearConstraints:
         names: Names of the known quantities.
         rows: Coefficients, (k, m).
         values: Right-hand sides, (k,).
-        root: R with R R' the covariance of the values, (k, r), for unknowns whose `scale` is one.
-        scale: Coefficients of the factor that multiplies `root`, (k, m): the mass for a centre of
-            mass; zeros for a factor of one.
-        present_scale: Factor at the present unknowns, (k,).
+        root: Square root R of the covariance R R' of the values, (k, r), for a scale factor of one.
+        scale: Coefficients of the unknowns in the scale factor of `root`, (k, m): the mass for a
+            centre of mass; zeros for a factor of one.
+        present_scale: Scale factor at the current unknowns, (k,).
     """
 
     names: tuple[str, ...]
@@ -170,7 +170,7 @@ class LinearConstraints:
         return len(self.names)
 
     def restricted_to(self, unknowns: Sequence[int]) -> LinearConstraints:
-        """Constraints on a subset of the unknowns, with the other unknowns zero.
+        """Constraints on a subset of the unknowns, with the other unknowns set to zero.
 
         Args:
             unknowns: Indices of the unknowns of the subset.
@@ -178,10 +178,10 @@ class LinearConstraints:
         return replace(self, rows=self.rows[:, unknowns], scale=self.scale[:, unknowns])
 
     def on_corrections(self, unknowns: Array) -> LinearConstraints:
-        """Constraints on corrections of given unknowns.
+        """Constraints on corrections of the current unknowns.
 
         Args:
-            unknowns: Present unknowns, (m,).
+            unknowns: Current unknowns, (m,).
         """
         reached = self.present_scale + self.scale @ unknowns
         return replace(
@@ -192,7 +192,7 @@ class LinearConstraints:
         """Square root of the covariance of the values after a correction, (k, r).
 
         Args:
-            added: Correction of the present unknowns, (m,).
+            added: Correction of the current unknowns, (m,).
         """
         magnitude = np.abs(self.present_scale + self.scale @ added)
         return np.where(self.scale.any(axis=1), magnitude, 1.0)[:, None] * self.root
@@ -200,7 +200,7 @@ class LinearConstraints:
 
 @dataclass(frozen=True, eq=False)
 class NullSpace:
-    """Solutions x = right_inverse @ values + basis z of linear constraints, z free unknowns.
+    """Solutions `x = right_inverse @ values + basis @ z` of linear constraints for free unknowns z.
 
     Attributes:
         basis: Null-space basis, (m, m - k).
@@ -220,8 +220,8 @@ def known_value_constraints(
 ) -> LinearConstraints:
     """Linear constraints for known values of a robot's unknowns and sensor coefficients.
 
-    A centre of mass becomes the constraint that the first moment less the value times the mass is
-    zero, with a sigma in proportion to the mass.
+    A known centre of mass becomes the constraint `moment - value * mass = 0`, whose sigma is
+    proportional to the mass.
 
     Args:
         tree: Robot.
@@ -232,7 +232,7 @@ def known_value_constraints(
             coefficient.
 
     Raises:
-        UnknownName: There is no such name.
+        UnknownName: A name is neither an unknown nor a known quantity.
         SettingsError: The minimal parameters do not determine a quantity.
     """
     unknowns = (*names, *sensor_names)
@@ -257,7 +257,7 @@ def known_value_constraints(
 
 
 def free(constraints: LinearConstraints) -> NullSpace:
-    """Null space of linear constraints, by Gauss-Jordan elimination with largest pivots.
+    """Null space of linear constraints from Gauss-Jordan elimination with the largest pivots.
 
     Args:
         constraints: Linear constraints.

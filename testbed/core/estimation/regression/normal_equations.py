@@ -1,7 +1,7 @@
 """Normal equations, channel by channel: sums of products for linear least squares.
 
-Other weights and subsets of channels are other sums of the same products; they need no further pass
-over the samples.
+Fits with other weights or subsets of channels use other sums of the same products and need no
+further pass over the samples.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def solve_scaled(matrix: Array, right: Array) -> Array:
 
 
 def scaled_inverse(matrix: Array) -> Array:
-    """Inverse of a symmetric positive definite matrix, by its inverse root.
+    """Inverse of a symmetric positive definite matrix, from its inverse square root.
 
     Args:
         matrix: Symmetric positive definite matrix, (m, m).
@@ -57,7 +57,7 @@ def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
 
 
 def standard_deviations(covariance: Array) -> Array:
-    """Square roots of a covariance's diagonal, (m,); zero for negative rounding.
+    """Square roots of a covariance's diagonal, (m,); zero for negative elements.
 
     Args:
         covariance: Covariance, (m, m).
@@ -79,9 +79,10 @@ def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
 
 
 def matrix_square_root(matrix: Array) -> Array:
-    """Cholesky factor R with R R' the matrix, (m, m); by eigenvalues for a singular matrix.
+    """Square root R of a matrix R R' from Cholesky factorisation, (m, m).
 
-    Eigenvalues are those of the matrix scaled to unit diagonal, at least MIN_EIGENVALUE.
+    For a singular matrix, R is computed from the eigenvalues of the matrix scaled to unit diagonal,
+    raised to at least MIN_EIGENVALUE.
 
     Args:
         matrix: Symmetric positive semidefinite matrix, (m, m).
@@ -99,10 +100,10 @@ def matrix_square_root(matrix: Array) -> Array:
 
 
 def inverse_square_root(matrix: Array) -> Array:
-    """R with R R' the inverse of a matrix, (m, m): R' matrix R = 1.
+    """Square root R of the inverse R R' of a matrix, (m, m).
 
-    R is the transposed inverse of the Cholesky factor; by eigenvalues for an ill-conditioned
-    matrix.
+    R is the transposed inverse of the Cholesky factor. For an ill-conditioned matrix, R is computed
+    from eigenvalues.
 
     Args:
         matrix: Symmetric positive definite matrix, (m, m).
@@ -117,8 +118,9 @@ def inverse_square_root(matrix: Array) -> Array:
 def _well_conditioned_factor(matrix: Array) -> Array | None:
     """Lower Cholesky factor, (m, m); None for an ill-conditioned matrix.
 
-    A matrix is ill-conditioned if a squared pivot is at most 1e-6 of the diagonal element, or if it
-    has no factor. Unlike that of eigenvalues, the factor's rounding does not depend on units.
+    A matrix is ill-conditioned if it has no factor or if a squared pivot is at most 1e-6 of the
+    diagonal element. The rounding errors of the factor, unlike those of eigenvalues, do not depend
+    on units.
     """
     factor, failed = linalg.lapack.dpotrf(matrix.T, lower=True, clean=True)
     remainder = factor.diagonal() ** 2
@@ -128,9 +130,10 @@ def _well_conditioned_factor(matrix: Array) -> Array | None:
 
 
 def _inverse_root_by_eigenvalues(matrix: Array) -> Array:
-    """R with R R' the inverse of an ill-conditioned matrix, by eigenvalues, (m, m).
+    """Square root R of the inverse R R' of an ill-conditioned matrix, (m, m).
 
-    Eigenvalues are those of the matrix scaled to unit diagonal, raised to at least MIN_EIGENVALUE.
+    R is computed from the eigenvalues of the matrix scaled to unit diagonal, raised to at least
+    MIN_EIGENVALUE.
     """
     unit, scale = unit_diagonal(matrix)
     eigenvalues, eigenvectors = eigh(unit)
@@ -141,12 +144,12 @@ def _inverse_root_by_eigenvalues(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Sums over the rows of each channel, with columns X and measurements y.
+    """Normal equations of each channel, with regressor columns X and measurements y.
 
     Attributes:
         unknowns: Names of the unknowns, (p,).
         channels: Names of the channels, (C,).
-        used: Number of rows used of each channel, (C,).
+        used: Number of rows used in each channel, (C,).
         normal: X' X of each channel, (C, p, p).
         right: X' y of each channel, (C, p).
         squares: y' y of each channel, (C,).
@@ -161,7 +164,7 @@ class NormalEquations:
 
     @property
     def rows(self) -> int:
-        """Number of rows used of all channels."""
+        """Number of rows used in all channels."""
         return int(self.used.sum())
 
     @property
@@ -170,7 +173,7 @@ class NormalEquations:
         return np.sqrt(self.squares / np.maximum(self.used, 1.0))
 
     def of_channel(self, c: int) -> tuple[Array, Array, float]:
-        """X' X, (p, p), X' y, (p,), and y' y of channel c."""
+        """Products X' X, (p, p), X' y, (p,), and y' y of channel c."""
         return self.normal[c], self.right[c], float(self.squares[c])
 
     def of_unknowns(self, indices: Sequence[int]) -> NormalEquations:
@@ -196,7 +199,9 @@ class NormalEquations:
         return np.asarray(weights @ self.right)
 
     def residual(self, values: Array) -> Array:
-        """Sum of squared residuals of each channel, (C,), to 1e-8 of the measurement's square.
+        """Sum of squared residuals of each channel, (C,).
+
+        It is accurate to about 1e-8 of the sum of squared measurements.
 
         Args:
             values: Values of the unknowns, (p,).

@@ -1,7 +1,7 @@
 """Passes over the samples, window by window, on several threads, in constant memory.
 
-Windows and the order of their results are independent of the source and of the number of threads,
-and so are, to the bit, all numbers computed from them.
+Windows and the order of their results do not depend on the source or the number of threads, so that
+all numbers computed from them are bitwise reproducible.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ against spikes."""
 
 
 class Repeats(NamedTuple):
-    """Numbers of samples equal to the sample before, while the encoders differ.
+    """Counts of samples equal to the previous sample although the encoder readings differ.
 
     Attributes:
-        moving_pairs: Number of pairs of samples with different encoder readings.
+        moving_pairs: Number of pairs of consecutive samples with different encoder readings.
         equal_by_channel: Number of these pairs in which a channel is equal, (C,).
         all_equal: Number of these pairs in which all channels are equal.
-        repeated_poses: Number of samples after such a pair with equal encoder readings: repeated
-            poses.
-        pairs: Number of pairs of samples.
+        repeated_poses: Number of these pairs followed by a sample with equal encoder readings,
+            which is a repeated pose.
+        pairs: Number of pairs of consecutive samples.
     """
 
     moving_pairs: int
@@ -86,7 +86,7 @@ class Survey:
 
 
 class Surveyor:
-    """Collector of the `Survey` of a recording from its windows, in any order."""
+    """Accumulator of the `Survey` of a recording over its windows, in any order."""
 
     def __init__(self, samples: int) -> None:
         """Start a survey of a recording with the given number of samples."""
@@ -121,10 +121,10 @@ class Surveyor:
             )
 
     def survey(self) -> Survey:
-        """Subsample, repeats, encoder noise and least counts of all windows, in order of time.
+        """Subsample, repeats, encoder noise and least counts of all windows, in time order.
 
-        Noise and least counts are medians over windows; no noise from MAX_HELD_FRACTION of repeats
-        on.
+        Noise and least counts are medians over windows. The noise is zero if the fraction of
+        repeated poses is at least MAX_HELD_FRACTION.
         """
         parts = zip(
             *(self._subsamples[first] for first in sorted(self._subsamples)),
@@ -149,7 +149,7 @@ class Surveyor:
 
 
 def _count_repeats(position: Array, measured: Array) -> Repeats:
-    """Count samples equal to the sample before, in encoders and channels.
+    """Count samples equal to the previous sample, in encoders and channels.
 
     Args:
         position: Encoder positions, (m, n).
@@ -181,8 +181,8 @@ def _per_encoder(quantity: Callable[[Array], float], position: Array) -> Array:
 def noise_variance(position: Array) -> float:
     """Mean square of white noise in consecutive positions; zero for too few positions.
 
-    Differences of order DIFFERENCE_ORDER remove the motion; their mean squares over NOISE_SEGMENT
-    samples are reduced to the median.
+    Differences of order DIFFERENCE_ORDER remove the motion. The result is the median of their mean
+    squares over segments of NOISE_SEGMENT samples.
 
     Args:
         position: Positions of one encoder, (m,) [rad or m].
@@ -197,9 +197,9 @@ def noise_variance(position: Array) -> float:
 
 
 def _least_count(position: Array) -> float:
-    """Least count of an encoder; zero for none, nan for fewer than 16 small changes.
+    """Least count of an encoder; zero without quantisation, nan if undetermined.
 
-    Small changes are up to 4.5 times the smallest; 95 % of them have to be multiples of the count.
+    Of at least 16 changes up to 4.5 times the smallest change, 95 % have to be multiples of it.
 
     Args:
         position: Consecutive positions of one encoder, (m,) [rad or m].
@@ -219,10 +219,10 @@ def _least_count(position: Array) -> float:
 
 
 def _counts_above_noise(counts: Array, noise: Array) -> Array:
-    """Median least count of each encoder, (n,); zero for noise of 0.4 counts.
+    """Median least count of each encoder, (n,); zero for noise above 0.4 counts.
 
     Args:
-        counts: Least counts by window, (windows, n); nan where unknown.
+        counts: Least counts in each window, (windows, n); nan where unknown.
         noise: Standard deviation of the encoders' noise, (n,).
     """
     least_counts = np.nanmedian(
@@ -265,7 +265,7 @@ def _engine(plan: Plan) -> Any:
 def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
     """Unfiltered regressor rows of a motion, with zero measurements, (slots, M).
 
-    The implementation is the plan's.
+    `slots` is the number of matrix entries per sample in the layout of the plan.
 
     Args:
         plan: Plan of the rows.
@@ -284,9 +284,9 @@ def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
 def scale_to_unit_noise(
     layout: Layout, signals: SignalWindow, blocks: Sequence[Block]
 ) -> list[Block]:
-    """Scale rows with excluded samples so that white noise has its usual variance.
+    """Scale rows with excluded samples to the white-noise variance of complete rows.
 
-    Rows with less than MIN_INCLUDED_SHARE of their squared weights included become zero.
+    Rows with less than MIN_INCLUDED_SHARE of their squared weights on included samples become zero.
 
     Args:
         layout: Layout of the rows.
@@ -325,7 +325,7 @@ class Passes:
             plan: Plan of the rows.
             threads: Number of threads; None for one per processor.
             progress: Callback with the number of samples done and the total of all passes.
-            number: Number of passes, for the progress.
+            number: Number of passes, for progress reports.
         """
         self.number = number
         self.plan = plan
@@ -370,7 +370,7 @@ class Passes:
         Args:
             combined: Matrix that combines the columns, (p, q).
             column_functions: Functions that return additional columns of a window, (C, rows, s)
-                each; None for none.
+                each; None for no columns.
             gaps: True to yield zero rows for gaps; else gaps are skipped.
         """
         layout, done = self.plan.layout, 0
@@ -403,7 +403,7 @@ class Passes:
         """Yield results of a function for all windows, in order, computed by several threads.
 
         Args:
-            compute: Function of the samples of a window and the window.
+            compute: Function of a window's samples and of the window.
         """
         with ThreadPoolExecutor(self.threads) as pool:
             pending: deque[tuple[Window, Future[Result]]] = deque()

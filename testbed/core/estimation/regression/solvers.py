@@ -72,7 +72,7 @@ class Fit:
     Attributes:
         values: Values of the unknowns, (p,); nan for unknowns without influence on a weighted
             channel.
-        inverse: Inverse of X' W X, (p, p); nan likewise.
+        inverse: Inverse of X' W X, (p, p); nan for the same unknowns.
         weights: Weights of the channels, (C,).
         condition: Condition number of the weighted equations with columns of unit length.
     """
@@ -107,9 +107,10 @@ def raise_unidentifiable_parameters(
 
 
 def solve_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
-    """Solution of the weighted normal equations; its errors grow with the condition squared.
+    """Solve the weighted normal equations.
 
-    Unknowns without influence on a weighted channel are nan.
+    Rounding errors grow with the square of the condition number. Unknowns without influence on a
+    weighted channel are nan.
 
     Args:
         equations: Normal equations of all rows.
@@ -150,7 +151,9 @@ def solve_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
 
 
 def solve_by_qr(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
-    """Weighted solution by a QR decomposition of all rows; errors grow with the condition.
+    """Solve the weighted equations by a QR decomposition of all rows.
+
+    Rounding errors grow with the condition number.
 
     Args:
         equations: Normal equations of all rows.
@@ -186,9 +189,9 @@ def solve_by_qr(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
 
 
 def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
-    """Weighted solution by normal equations, or by QR where these are ill-conditioned.
+    """Solve by normal equations, or by QR where these are ill-conditioned.
 
-    QR is used for a condition number above 1e4, and if normal equations do not determine all
+    QR is used for a condition number above 1e4, or if normal equations do not determine all
     unknowns.
 
     Args:
@@ -211,15 +214,15 @@ def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
 def fit(equations: NormalEquations, weights: Mapping[str, float] | None = None) -> Fit:
     """Fit all or some of the channels, with given or estimated weights.
 
-    Needs no pass over the samples.
+    No pass over the samples is needed.
 
     Args:
         equations: Normal equations of a recording, `Estimate.normal_equations`.
-        weights: Weight by channel, the inverse of its noise variance [N^-2, (N m)^-2]; other
+        weights: Inverse noise variance of each channel [N^-2, (N m)^-2], keyed by name; other
             channels are left out. Default: all channels, weighted by their residuals.
 
     Raises:
-        UnknownName: There is no such channel.
+        UnknownName: A channel does not exist.
         UnidentifiableParameters: The channels cannot distinguish all parameters that influence
             them.
     """

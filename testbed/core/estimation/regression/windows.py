@@ -47,7 +47,7 @@ STENCIL_REACH = len(_DIFFERENCES[0])
 
 
 def low_pass_reach(rate: float, cutoff: float | None, attenuation: float) -> float:
-    """Reach of a low-pass to either side [samples]; infinite for a vanishing cutoff.
+    """Half-length of a low-pass filter [samples]; infinite for a cutoff of zero.
 
     Args:
         rate: Sampling rate [Hz].
@@ -65,7 +65,7 @@ def low_pass_reach(rate: float, cutoff: float | None, attenuation: float) -> flo
 
 
 def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
-    """Weights of a symmetric low-pass, (2 L + 1,): a sinc with a Kaiser window, sum one.
+    """Weights of a symmetric low-pass, (2 L + 1,): a Kaiser-windowed sinc with unit sum.
 
     Args:
         rate: Sampling rate [Hz].
@@ -91,14 +91,14 @@ def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
 def motion_taps(rate: float, cutoff: float | None) -> Array:
     """Convolution kernels for position, velocity and acceleration from encoder positions.
 
-    Central differences of order eight, combined with the low-pass on positions.
+    The kernels combine central differences of order eight with the low-pass on positions.
 
     Args:
         rate: Sampling rate [Hz].
         cutoff: Cutoff of the low-pass on positions [Hz]; None for no filter.
 
     Returns:
-        Kernels in the order of time, (3, 2 L + 1): x[k] = sum over l of taps[l] q[k - L + l].
+        Kernels in chronological order, (3, 2 L + 1): x[k] = sum over l of taps[l] q[k - L + l].
     """
     first, second = np.array(_DIFFERENCES) * [[rate], [rate**2]]
     position = np.zeros(2 * STENCIL_REACH + 1)
@@ -115,11 +115,11 @@ def motion_taps(rate: float, cutoff: float | None) -> Array:
 
 
 def slope_weights(weights: Array, places: NDArray[np.int64], rate: float) -> Array:
-    """Weights of some samples for the derivative of a low-passed signal, (k,) [1/s].
+    """Weights of selected samples for the derivative of a low-passed signal, (k,) [1/s].
 
-    Integration by parts: the filtered derivative is the signal times the derivative of the filter,
-    plus a term at either end of the filter. The sum is scaled to be exact for a ramp; zero for a
-    single sample.
+    By integration by parts, the filtered derivative is the signal times the derivative of the
+    filter, plus a term at either end of the filter. The weights are scaled to be exact for a ramp;
+    the weight of a single sample is zero.
 
     Args:
         weights: Weights of the symmetric filter, (2 L + 1,).
@@ -138,7 +138,7 @@ def slope_weights(weights: Array, places: NDArray[np.int64], rate: float) -> Arr
 
 
 def _polynomial_derivatives(values: Array) -> Array:
-    """Derivatives of evenly spaced values, (k,), by a polynomial through the nearest values."""
+    """Derivatives of evenly spaced values, (k,), from polynomials through the nearest values."""
     size = min(2 * STENCIL_REACH + 1, len(values))
     powers, nodes = np.arange(size), np.arange(size) - size // 2
     power_derivatives = powers * nodes[:, None] ** np.maximum(powers - 1.0, 0.0)
@@ -151,7 +151,7 @@ def _polynomial_derivatives(values: Array) -> Array:
 
 
 def row_weights(rate: float, cutoff: float | None) -> Array:
-    """Weights of the low-pass on rows, (2 L + 1,); one single weight for no filter.
+    """Weights of the low-pass on rows, (2 L + 1,); a single one for no filter.
 
     Args:
         rate: Sampling rate [Hz].
@@ -161,10 +161,10 @@ def row_weights(rate: float, cutoff: float | None) -> Array:
 
 
 def joint_law_filter(settings: Settings, rate: float) -> tuple[Array, int]:
-    """Weights of a short filter on rows of joint laws (Hann window), and reach of reversals.
+    """Weights of a short Hann filter on rows of joint laws, and margin around reversals.
 
     The window is as long as a period of the cutoff, half as long as `row_weights`. It passes more
-    encoder noise, since its gain falls with the third power of the frequency only; but the jump of
+    encoder noise, since its gain falls only with the third power of the frequency, but the jump of
     dry friction at a reversal affects fewer rows, all of which are excluded.
 
     Args:
@@ -191,8 +191,8 @@ def reversal_samples(weights: Array, reach: float | None, rate: float) -> int:
 
     Args:
         weights: Weights of the filter on rows, (2 L + 1,).
-        reach: Reach as a time [s], limited to the filter's; None for the reach beyond which the
-            filter has MAX_REVERSAL_WEIGHT of its absolute weight.
+        reach: Time before and after a row [s], at most half the filter's length; None for the time
+            beyond which the filter has MAX_REVERSAL_WEIGHT of its absolute weight.
         rate: Sampling rate [Hz].
     """
     half = len(weights) // 2
@@ -244,14 +244,15 @@ class Plan:
         motion_kernels: Convolution kernels for position, velocity and acceleration, (3, 2 L + 1).
         weights: Weights of the filter on rows, (2 L + 1,).
         deadband: Speed below which a joint rests [rad/s or m/s].
-        reversal_reach: Number of samples around a rest of a joint within which its rows are
-            excluded.
+        reversal_reach: Number of samples before and after a rest of a joint within which its rows
+            are excluded.
         step: Number of samples from row to row.
         spans: First row and number of rows of each run without a gap.
         engine: Implementation that computes the rows, as in `Settings.engine`.
-        load: Values of the body columns, (P',), for joint laws of the load; None without such laws.
-        excluded_samples: Excluded samples of each channel, from the first to before the second, (k,
-            2) each; () if none.
+        load: Coefficients of the body columns, (P',), for load-dependent joint laws; None without
+            such laws.
+        excluded_samples: Half-open index ranges of the excluded samples of each channel, (k, 2)
+            each; () if none.
     """
 
     source: Source
@@ -275,7 +276,7 @@ class Plan:
 
     @property
     def reach(self) -> int:
-        """Number of samples to either side from which a row is computed."""
+        """Number of samples on either side that are used to compute a row."""
         return int(self.motion_kernels.shape[1]) // 2 + len(self.weights) // 2
 
     @property
@@ -286,7 +287,7 @@ class Plan:
     def windows(self) -> Iterator[Window]:
         """Yield the windows of all rows in order, of about WINDOW_SAMPLES samples each.
 
-        Windows have whole blocks of rows, except before gaps, and are the same for any kind of
+        Windows contain whole blocks of rows, except before gaps, and are the same for any kind of
         source.
         """
         block = self.layout.rows.block
@@ -322,8 +323,8 @@ class Plan:
     def signals(self, part: Recording, window: Window) -> SignalWindow:
         """Kernel input for a window: motion, measurement, filters and excluded samples.
 
-        Arrays are made contiguous by sample, because BLAS sums columns in another order, and the
-        last bits would depend on the source.
+        Arrays are made contiguous by sample, since the summation order of BLAS, and thus the last
+        bits of the result, depend on the memory layout.
 
         Args:
             part: Samples of the window.
@@ -378,7 +379,7 @@ class Plan:
         return np.where(excluded, 0.0, 1.0) if excluded.any() else EMPTY_MATRIX
 
     def _covariates(self, part: Recording, window: Window) -> Array:
-        """Time since the source's middle [s], and drive temperatures above 25 degC, (M, 1 + n).
+        """Time from the middle of the source [s] and drive temperatures above 25 degC, (M, 1 + n).
 
         Temperatures that were not recorded are zero.
         """
@@ -467,7 +468,7 @@ def _rows_of_segment(
 
     Args:
         segment: First sample and index after the last.
-        reach: Reach of the filters to either side [samples].
+        reach: Half-length of the filters [samples].
         step: Number of samples from row to row.
     """
     first, last = -(-segment[0] // step), segment[1]
@@ -480,7 +481,7 @@ def _too_short_error(source: Source, number: int, reach: float) -> RecordingErro
     Args:
         source: Source of the samples.
         number: Index of the segment.
-        reach: Reach of the filters to either side [samples].
+        reach: Half-length of the filters [samples].
     """
     segments = source.segments
     first, last = segments[number]

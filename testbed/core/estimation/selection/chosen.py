@@ -1,4 +1,4 @@
-"""Settings with the terms and filters that estimates chose from their data."""
+"""Settings with the terms and filters that were chosen from data."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from testbed.core.estimation.settings import DEFAULT_TERMS, Settings
 def completed_by_estimates(
     settings: Settings, estimates: Iterable[Estimate]
 ) -> Settings:
-    """Settings completed by the terms and filters that estimates chose from their data.
+    """Settings completed by the terms and filters chosen from the data of estimates.
 
-    Terms are those of the estimate by joint torques, the cutoff on positions that of an estimate
+    Terms are taken from the estimate by joint torques, and the cutoff on positions from an estimate
     with the diagnostic "encoder.filter".
 
     Args:

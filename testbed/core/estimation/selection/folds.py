@@ -24,7 +24,7 @@ class Folds:
 
     Attributes:
         ends: Index of each fold's first row, then the index after the last row, (folds + 1,).
-        reach: Number of rows to either side of a fold that share samples with it; they are left out
+        reach: Number of rows on either side of a fold that share samples with it and are left out
             of its training rows.
     """
 
@@ -38,7 +38,7 @@ class Folds:
         Args:
             rows: Number of rows.
             count: Number of folds.
-            reach: Number of rows to either side of a fold that share samples with it.
+            reach: Number of rows on either side of a fold that share samples with it.
         """
         return cls(np.linspace(0, rows, count + 1).round().astype(int), reach)
 
@@ -50,7 +50,7 @@ class Folds:
         Args:
             first: Index of the block's first row.
             rows: Number of rows of the block.
-            reach: Number of rows to either side of each fold that are included, too.
+            reach: Number of rows on either side of each fold that are also included.
         """
         low = np.clip(self.ends[:-1] - reach - first, 0, rows).tolist()
         high = np.clip(self.ends[1:] + reach - first, 0, rows).tolist()
@@ -61,7 +61,7 @@ class Folds:
     def products(self, blocks: Iterable[Array]) -> CrossProducts:
         """Products of the columns of each fold's test rows and training rows.
 
-        Training rows are all rows outside of the fold and its reach.
+        Training rows are all rows except those of the fold and `reach` rows on either side.
 
         Args:
             blocks: Blocks of consecutive rows: values of m columns in k rows of C channels, (C, k,
@@ -90,7 +90,7 @@ class Folds:
 
 @dataclass(frozen=True, eq=False)
 class CrossProducts:
-    """Products of columns fold by fold, channel by channel; the last column is the measurement.
+    """Products of columns for each fold and channel; the last column is the measurement.
 
     There are C channels and m columns, including the measurement.
 
@@ -128,7 +128,7 @@ class CrossProducts:
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Products of columns fold by fold, summed over channels; the last column is the measurement.
+    """Products of columns for each fold, summed over channels; the last column is the measurement.
 
     Attributes:
         test: Products of each fold's test rows, (folds, m, m).
@@ -158,7 +158,8 @@ class CrossValidation:
         """Sum of squared test residuals with one more column, (folds, candidates).
 
         Each candidate column is added alone, and all coefficients are fitted to the training rows.
-        Infinite for a candidate that is there a linear combination of the columns.
+        The sum is infinite if the candidate is a linear combination of the columns in the training
+        rows.
 
         Args:
             columns: Indices of the columns of all fits.

@@ -94,7 +94,7 @@ class TestResiduals:
         units: Unit of each channel, N m or N.
         signal: Rms of the measurements, (n,) [N m or N].
         residual: Rms of the test residuals, (n,) [N m or N].
-        rows: Number of rows used of each channel, (n,).
+        rows: Number of rows used in each channel, (n,).
     """
 
     channels: tuple[str, ...]
@@ -117,7 +117,7 @@ class TestResiduals:
 
 @dataclass(frozen=True, eq=False)
 class TermChoice:
-    """Joint laws chosen by cross-validation, and the evidence.
+    """Joint laws chosen by cross-validation, with the evidence for the choice.
 
     Attributes:
         words: Chosen terms such as "coulomb/elbow", as in `Settings.terms`.
@@ -141,21 +141,21 @@ def forward_selection(
     name_of: Callable[[Key], str],
     exclusive: Callable[[Key, Key], bool] = lambda one, other: False,
 ) -> tuple[list[Key], ForwardSelection]:
-    """Select columns one after the other by their significant gain in cross-validation.
+    """Select columns one by one, by the significance of their gain in cross-validation.
 
     A gain is significant if it is at least 2 standard errors (MIN_Z_GAIN) and reduces the rms test
-    residual by 2 % (MIN_RELATIVE_GAIN). Of these candidates, that with the smallest residual is
-    added.
+    residual by 2 % (MIN_RELATIVE_GAIN). Of the significant candidates, the one with the smallest
+    residual is added.
 
     Args:
         folds: Products of the folds.
         base_columns: Indices of the base columns.
-        offered: Indices of the candidate columns, by key.
-        name_of: Function that returns the name of a key.
-        exclusive: Function that returns True if two keys must not be selected together.
+        offered: Indices of the candidate columns, keyed by candidate.
+        name_of: Function that returns the name of a candidate.
+        exclusive: Function that returns True if two candidates must not be selected together.
 
     Returns:
-        Selected keys in order, and the steps of the selection.
+        Selected candidates in order, and the steps of the selection.
     """
     columns, candidates, chosen = list(base_columns), dict(offered), list[Key]()
     measured_square = max(float(folds.test[:, -1, -1].sum()), SMALLEST_POSITIVE)

@@ -1,7 +1,7 @@
 """Low-pass on positions, chosen by cross-validation where accelerations are mostly noise.
 
-With slow or coarse encoders, and with poses that are recorded twice, accelerations hold little of
-the motion: the default filter for the sampling rate passes too much noise.
+With slow or coarse encoders, or with poses recorded twice, the computed accelerations contain
+little of the motion, since the default filter for the sampling rate passes too much noise.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ channels, for a filter to be chosen."""
 def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, ...]]:
     """Problem with the best low-pass on positions, and a diagnostic if it was changed.
 
-    Candidates are CUTOFF_RATIOS times the cutoff on rows, tried where for half of the joints over
-    80 % of the acceleration's square is above the lowest of these cutoffs. The filter changes only
-    if the best candidate halves the squared test residuals (geometric mean of the channels), and
-    the cutoff was not stated.
+    Candidate cutoffs are CUTOFF_RATIOS times the cutoff on rows. They are tried if, for half of the
+    joints, more than 80 % of the squared acceleration lies above the lowest of these cutoffs. The
+    filter is changed only if the best candidate halves the squared test residuals (geometric mean
+    over the channels) and no cutoff was stated.
 
     Args:
         problem: Problem of either method with all terms stated.
@@ -82,9 +82,9 @@ def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, .
 
 
 def _fast_shares(problem: Problem, cutoff: float) -> Array:
-    """Share of each acceleration's square that a slower filter removes, (n,).
+    """Fraction of each squared acceleration that a slower filter removes, (n,).
 
-    Zero for recordings shorter than the filters.
+    The fractions are zero for recordings shorter than the filters.
 
     Args:
         problem: Problem with the default filter.

@@ -50,9 +50,9 @@ MIN_ROWS_PER_FOLD = 4
 
 
 def with_chosen_terms(problem: Problem) -> tuple[Problem, TermChoice | None]:
-    """Problem with all terms stated, chosen by cross-validation for "auto", and the evidence.
+    """Problem with "auto" terms replaced by terms chosen in cross-validation, and the evidence.
 
-    For the force plate, and for stated terms: the same problem and None.
+    For the force plate and for stated terms, the problem is unchanged and the evidence is None.
 
     Args:
         problem: Problem of either method.
@@ -100,8 +100,8 @@ def _one_way_laws(
 ) -> Iterator[tuple[int, JointLaw]]:
     """Yield joints that move in one direction only, with the law of the constant torque.
 
-    There the columns of dry friction and offset are collinear (MIN_INDEPENDENT_SHARE). The law is
-    the sum of both for motion forward, or backward.
+    For these joints, the columns of dry friction and offset are collinear (MIN_INDEPENDENT_SHARE).
+    The law is the sum of both for forward or for backward motion.
     """
     for joint, name in enumerate(problem.channels):
         terms = f"{COULOMB.kind}/{name}", f"{OFFSET.kind}/{name}"
@@ -121,11 +121,12 @@ def _one_way_laws(
 def choose_terms(problem: Problem) -> TermChoice:
     """Choose the joint laws of a problem by forward selection in cross-validation.
 
-    The default laws (`usual_terms`) are always included. Candidates are rotor, CANDIDATE_LAWS, and
-    laws of recorded time or temperature, for each joint and shaft separately.
+    The default laws (`usual_terms`) are always included. Candidates are the rotor inertia,
+    CANDIDATE_LAWS, and laws that depend on recorded time or temperature, for each joint and shaft
+    separately.
 
     Args:
-        problem: Problem of joint torques; the terms of its settings do not matter.
+        problem: Problem of joint torques; the terms of its settings are ignored.
 
     Raises:
         RecordingError: The recording is too short for the folds.
@@ -180,7 +181,7 @@ def choose_terms(problem: Problem) -> TermChoice:
 def cross_validate(problem: Problem) -> TestResiduals:
     """Test residuals of a cross-validation with the terms of the settings.
 
-    FOLD_COUNT (6) consecutive folds are predicted by fits to the others.
+    Each of FOLD_COUNT (6) consecutive folds is predicted from a fit to the other folds.
 
     Args:
         problem: Problem of either method.
@@ -196,7 +197,7 @@ def cross_validate(problem: Problem) -> TestResiduals:
 class _FoldedRows:
     """Products of a recording's rows, fold by fold.
 
-    Rows are twice as dense as for an autoregression, for the sake of short recordings.
+    Rows are twice as dense as for an autoregression, so that short recordings have enough rows.
 
     Attributes:
         units: Unit of each channel, N m or N.

@@ -17,11 +17,11 @@ from testbed.sensors.systematic_error import SystematicError
 
 @dataclass(frozen=True, eq=False)
 class CalibrationCovariance:
-    """Covariance of the sensor coefficients by which a recording was corrected.
+    """Covariance of the sensor coefficients used to correct a recording.
 
     Attributes:
         names: Names of the coefficients, (k,).
-        root: R with R R' their covariance, (k, r).
+        root: Square root R of the covariance R R' of the coefficients, (k, r).
     """
 
     names: tuple[str, ...]
@@ -57,13 +57,13 @@ class CalibrationCovariance:
         neutral: dict[str, float],
         unknowns: Sequence[str],
     ) -> LinearConstraints:
-        """Constraints plus neutral values of coefficients, with the calibration's covariance.
+        """Constraints extended by neutral sensor coefficients with the calibration's covariance.
 
-        After correction, the coefficients are neutral except for errors of the calibration.
+        After correction, the coefficients have neutral values except for errors of the calibration.
 
         Args:
             constraints: Constraints on the unknowns.
-            neutral: Values of coefficients of sensors without errors, by name.
+            neutral: Values of the coefficients for sensors without errors, by name.
             unknowns: Names of all unknowns, in the order of the constraints' columns.
         """
         rows = np.zeros((len(neutral), len(unknowns)))

@@ -1,8 +1,8 @@
 """Estimation of sensor coefficients together with the robot's parameters, by Gauss-Newton.
 
-The columns of sensor errors are first-order effects. Each iteration corrects the recording by the
-present coefficients and estimates the remaining error; the last fit contains these columns beside
-the robot's, so that its covariance includes them.
+The columns of sensor errors are first-order effects. Each iteration corrects the recording with the
+current coefficients and estimates the remaining error. The last fit contains these columns together
+with those of the robot, so that its covariance accounts for both.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class LinearFit(NamedTuple):
     """Weighted least-squares solution of a recording.
 
     Attributes:
-        passes: Passes over its rows.
+        passes: Passes over the rows of the recording.
         equations: Normal equations of all rows.
         fit: Solution.
     """
@@ -85,7 +85,7 @@ class SensorModel:
         nonidentifiable: Requested coefficients that are collinear with other unknowns.
         known: Known values of the robot's unknowns and of the unknown coefficients.
         calibrated_names: Names of coefficients that the plate calibration has corrected; only their
-            covariance matters.
+            covariance is used.
     """
 
     settings: Settings
@@ -98,11 +98,11 @@ class SensorModel:
     def from_problem(
         cls, problem: Problem, doubt: CalibrationCovariance | None = None
     ) -> SensorModel:
-        """Set up the identifiable sensor coefficients of a problem, before any data.
+        """Set up the identifiable sensor coefficients of a problem, without using its data.
 
         Args:
             problem: Robot and recording; its settings state the sensor errors.
-            doubt: Covariance of the plate calibration; None for none.
+            doubt: Covariance of the plate calibration; None without a calibration.
 
         Raises:
             SettingsError: The wrench is a difference of two sensors, for which an error cannot be
@@ -170,12 +170,12 @@ class SensorModel:
     def columns(
         self, plan: Plan, values: Array, coefficients: Array
     ) -> NuisanceColumns:
-        """Columns of the sensor errors and known values, linearised about an estimate.
+        """Linearised columns of the sensor errors, with known values as constraints.
 
         Args:
             plan: Plan of the rows.
             values: Minimal parameters, (p,).
-            coefficients: Sensor coefficients by which the recording was corrected, (s,).
+            coefficients: Sensor coefficients used to correct the recording, (s,).
         """
         constraints = self.known.on_corrections(np.concatenate([values, coefficients]))
         if not self.unknowns.unknown_indices:
@@ -204,11 +204,11 @@ class SensorModel:
         )
 
     def estimates(self, values: Array, fit: GlsFit) -> tuple[NuisanceEstimate, ...]:
-        """Estimates of the sensor coefficients, without the plate calibration's coefficients.
+        """Estimates of the sensor coefficients, without coefficients from the plate calibration.
 
         Args:
-            values: Coefficients by which the recording was corrected, (s,).
-            fit: Last fit, of the remaining error.
+            values: Coefficients used to correct the recording, (s,).
+            fit: Last fit, which estimates the remaining error.
         """
         sigmas = standard_deviations(fit.sensor_covariance)
         unknowns = self.unknowns
@@ -242,8 +242,8 @@ class SensorModel:
     def diagnostics(self, result: GaussNewtonResult) -> Iterator[Diagnostic]:
         """Diagnostics of collinear and weakly determined coefficients, and of convergence.
 
-        Weakly determined: less than MIN_OWN_SHARE (0.1) of a coefficient's effect is independent of
-        the other unknowns. Not converged: after MAX_ITERATIONS.
+        A coefficient is weakly determined if less than MIN_OWN_SHARE (0.1) of its effect is
+        independent of the other unknowns. A lack of convergence after MAX_ITERATIONS is reported.
 
         Args:
             result: Result of the Gauss-Newton iterations.
@@ -295,12 +295,12 @@ def _check_joint_identifiability(
     nonidentifiable: Sequence[NonIdentifiable],
     settings: Settings,
 ) -> None:
-    """Check sensor errors that are useful only if all coefficients are identifiable.
+    """Check sensor errors that are useful only if all their coefficients are identifiable.
 
-    Such an error is the plate's crosstalk matrix.
+    An example is the crosstalk matrix of the plate.
 
     Raises:
-        SettingsError: Some coefficients are not identifiable; explains remedies.
+        SettingsError: Some coefficients are not identifiable; the message lists remedies.
     """
     joint_terms = {error.term for error in coefficients.nuisances if error.jointly}
     terms = dict(zip(coefficients.names, coefficients.terms, strict=True))
@@ -315,7 +315,7 @@ class GaussNewtonResult(NamedTuple):
     """Sensor coefficients, and the weighted solution of the corrected recording.
 
     Attributes:
-        solution: Weighted solution of the recording corrected by the values.
+        solution: Weighted solution of the recording corrected with the values.
         values: Values of the coefficients, (s,).
         converged: True if the last step was below 0.05 sigma.
         weak: Names of coefficients with less than MIN_OWN_SHARE of their effect independent of the
@@ -333,7 +333,7 @@ def gauss_newton(
 ) -> GaussNewtonResult:
     """Estimate sensor coefficients by Gauss-Newton iterations that correct the recording.
 
-    They end when all steps are below 0.05 sigma, or after MAX_ITERATIONS.
+    The iterations end when all steps are below 0.05 sigma, or after MAX_ITERATIONS.
 
     Args:
         source: Recording.

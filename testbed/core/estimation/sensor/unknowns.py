@@ -1,4 +1,4 @@
-"""Coefficients of sensor errors: regressor columns, and the subset that motions identify."""
+"""Coefficients of sensor errors: regressor columns and identifiable subset."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SensorUnknowns:
     Attributes:
         nuisances: Sensor errors.
         counts: Number of coefficients of each sensor error.
-        coefficients: All coefficients, sensor error by sensor error.
+        coefficients: All coefficients, grouped by sensor error.
         unknown_indices: Indices of the unknown coefficients; the others have neutral values.
     """
 
@@ -53,7 +53,7 @@ class SensorUnknowns:
 
     @property
     def neutral(self) -> Array:
-        """Values of the unknown coefficients of sensors without errors."""
+        """Values of the unknown coefficients for sensors without errors."""
         return np.array([self.coefficients[k].neutral for k in self.unknown_indices])
 
     @property
@@ -75,7 +75,7 @@ class SensorUnknowns:
         return next((inverse for inverse in inverses if inverse is not None), None)
 
     def by_error(self, values: Array) -> dict[type[SystematicError], Array]:
-        """Values of all coefficients by sensor error; neutral for known coefficients.
+        """Values of all coefficients, keyed by sensor error; neutral for known coefficients.
 
         Args:
             values: Values of the unknown coefficients, (s,).
@@ -130,10 +130,10 @@ class SensorErrorColumns:
             filtered: Filter on rows.
             values: Minimal parameters, (p,).
             unknowns: Unknown coefficients.
-            unmixing: Inverse of the crosstalk matrix by which the recording was corrected, (6, 6);
-                None for none.
+            unmixing: Inverse of the crosstalk matrix used to correct the recording, (6, 6); None
+                without such a correction.
             unfolded: Filter on rows at a higher rate, for sensor errors whose columns would alias
-                encoder noise; default the same filter.
+                encoder noise; default: `filtered`.
         """
         self._unfolded = unfolded or filtered
         self._unmixing = unmixing
@@ -196,7 +196,7 @@ SINE_COUNT = 5
 
 @dataclass(frozen=True)
 class NonIdentifiable:
-    """Sensor coefficient that is collinear with others, and therefore taken as neutral.
+    """Sensor coefficient that is collinear with others and kept at its neutral value.
 
     Attributes:
         name: Name of the coefficient.
@@ -212,14 +212,15 @@ def identifiable_subset(
     nuisances: Sequence[type[SystematicError]],
     constraints: LinearConstraints | None = None,
 ) -> tuple[SensorUnknowns, tuple[NonIdentifiable, ...]]:
-    """Sensor coefficients that are identifiable beside the parameters, and the others.
+    """Sensor coefficients that are identifiable together with the parameters, and the others.
 
-    Rank test on the columns of a random robot along a random motion, without the data. Coefficients
-    with known values are not tested; they are among the identifiable ones.
+    A rank test is applied to the columns of a robot with random parameters along a random motion;
+    no data are used. Coefficients with known values are not tested; they are counted as
+    identifiable.
 
     Args:
         problem: Robot and recording.
-        nuisances: Sensor errors, with priority for the earlier.
+        nuisances: Sensor errors, of which the earlier ones have priority.
         constraints: Known values of parameters and coefficients.
     """
     names, unknowns = problem.names, sensor_unknowns(problem.layout.tree, nuisances)
@@ -254,15 +255,17 @@ def _independent_columns(
 ) -> tuple[tuple[int, ...], tuple[NonIdentifiable, ...]]:
     """Indices of columns that are linearly independent of earlier columns, and the others.
 
-    Gram-Schmidt orthogonalisation of unit columns; a remainder up to 1e-6 is zero.
+    Unit columns are orthogonalised by Gram-Schmidt; a remainder of length up to 1e-6 is taken as
+    zero.
 
     Args:
-        first_columns: Columns before all candidates.
-        candidates: Columns tested one after the other.
+        first_columns: Columns that precede all candidates.
+        candidates: Columns to be tested one by one.
         is_known: True for each candidate with a known value, which is not tested.
 
     Returns:
-        Indices of the identifiable candidates; the others, with the columns collinear with them.
+        Indices of the identifiable candidates, and the other candidates with their collinear
+            columns.
     """
     columns, labels = _unit_columns(first_columns[0]), list(first_columns[1])
     basis, _ = np.linalg.qr(columns)
@@ -294,7 +297,7 @@ def explain_nonidentifiable(
     known: Collection[str],
     nuisances: Collection[str],
 ) -> str:
-    """Sentence on coefficients that no motion identifies, and on known values that would help.
+    """Error message about nonidentifiable coefficients, with known values that would help.
 
     Args:
         unresolved: Sensor coefficients that are not identifiable.
@@ -330,7 +333,7 @@ def _generic_columns(
 ) -> tuple[Array, Array]:
     """Columns of p parameters, (6 rows, p), and of s sensor coefficients, (6 rows, s).
 
-    They are those of random parameters along a generic motion at 50 Hz.
+    They are computed for random parameters along a random motion sampled at 50 Hz.
 
     Args:
         problem: Robot and recording.
@@ -365,7 +368,7 @@ def _generic_columns(
 
 
 def _generic_motion(time: Array, joints: int, rng: np.random.Generator) -> Motion:
-    """Motion of joints by sums of sines of random frequencies and amplitudes.
+    """Joint motion as sums of sines with random frequencies and amplitudes.
 
     Args:
         time: Instants, (m,) [s].

@@ -1,4 +1,4 @@
-"""Parquet files of recordings: columns of doubles, units and JSON metadata in the schema."""
+"""Parquet files of recordings: float64 columns, with units and JSON metadata in the schema."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class ParquetTable:
     Attributes:
         columns: Names of all columns.
         samples: Number of rows.
-        metadata: Metadata of the file, of which only the layout is checked.
+        metadata: Metadata of the file; only their layout is checked.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,10 +83,10 @@ class ParquetTable:
         self._restart((), 0)
 
     def read(self, columns: Sequence[str], first: int, last: int) -> dict[str, Array]:
-        """Read rows `first` to `last` - 1 of columns; fast for rows in order.
+        """Read rows `first` to `last - 1` of some columns; fastest for consecutive rows.
 
         Raises:
-            RecordingError: The file is damaged there, or a column is not numeric.
+            RecordingError: These rows of the file are damaged, or a column is not numeric.
         """
         with _parquet_errors(self._path):
             for name in columns:
@@ -130,9 +130,9 @@ def write_table(
 
     Args:
         path: Path of the file.
-        units: Unit of every column, by name, in the order of the columns.
-        metadata: Metadata as values for JSON text.
-        parts: Consecutive blocks of rows, by column name.
+        units: Unit of each column, keyed by column name, in the order of the columns.
+        metadata: Metadata as values that can be written as JSON.
+        parts: Consecutive blocks of rows, each keyed by column name.
     """
     text = json.dumps({"format": FORMAT, **metadata}, sort_keys=True)
     fields = [
@@ -151,10 +151,10 @@ def write_table(
 
 @contextmanager
 def _parquet_errors(path: Path) -> Iterator[None]:
-    """Convert errors of pyarrow into `RecordingError`, as a context manager.
+    """Context manager that converts errors of pyarrow into `RecordingError`.
 
     Raises:
-        RecordingError: The file cannot be read; the message has the reason.
+        RecordingError: The file cannot be read; the message gives the reason.
     """
     try:
         yield
@@ -198,7 +198,7 @@ def _check_type(field: pa.Field) -> None:
     """Check that a column is numeric.
 
     Raises:
-        ValueError: The column holds another type.
+        ValueError: The column is of another type.
     """
     if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
         raise ValueError(

@@ -46,9 +46,9 @@ class MjcfModel:
         path: MJCF file.
         spec: Editable model.
         compiled: Model compiled before the repair of inertias.
-        links: Bodies with inertias as stated in the file, carriers before what they carry.
-        repair: Replacements of inconsistent inertias.
-        diagnostics: Faults of the file that were accepted.
+        links: Bodies with inertias as stated in the file, each after its carrier.
+        repair: Replacements for inconsistent inertias.
+        diagnostics: Diagnostics of faults in the file that were accepted.
     """
 
     path: Path
@@ -89,7 +89,7 @@ class MjcfModel:
 
 
 def read(file: ModelSource) -> MjcfModel:
-    """Read an MJCF file to a MuJoCo model, with the errors of `load_tree`."""
+    """Read an MJCF file into a MuJoCo model; raises the errors of `load_tree`."""
     path = file.path
     spec, diagnostics = open_spec(file)
     suspects, stated = extract_explicit_inertias(spec)
@@ -112,7 +112,7 @@ def _links(
 
     Args:
         model: Compiled model, with locked joints removed.
-        stated: Explicit inertias by body.
+        stated: Explicit inertias, keyed by body.
         path: MJCF file, whose own bodies without joints define `fixed_carrier`.
     """
     spec = parse_mjcf(path)  # referenced while its bodies are in use
@@ -157,10 +157,11 @@ def _check_distances(model: mujoco.MjModel, path: Path) -> None:
 def _joints(
     model: mujoco.MjModel,
 ) -> tuple[tuple[Joint, ...], dict[int, tuple[int, Transform]]]:
-    """Joints of the tree; owner in the tree and pose X_OB there, by MuJoCo body.
+    """Joints of the tree, and pairs of owner and pose X_OB keyed by MuJoCo body.
 
-    The owner O is the tree's body that contains MuJoCo's body B (-1: bedplate). A MuJoCo body with
-    several joints becomes as many bodies of the tree in series.
+    The owner O is the tree's body that contains MuJoCo's body B (-1 for the bedplate); X_OB is the
+    pose of B in the frame of O. A MuJoCo body with several joints becomes several bodies of the
+    tree in series, one per joint.
     """
     joints: list[Joint] = []
     poses = {0: (-1, Transform())}
@@ -180,14 +181,14 @@ def _joints(
 def _joint_of(model: mujoco.MjModel, j: int, owner: int, X_OB: Transform) -> Joint:
     """Joint j of a MuJoCo body with pose X_OB in its owner's frame.
 
-    MuJoCo rotates about the anchor `jnt_pos`, which becomes O^j, and counts positions from
-    `qpos0`, the position in the file's reference configuration.
+    The anchor `jnt_pos`, about which MuJoCo rotates the body, becomes the origin O^j. The joint
+    position in the reference configuration of the file is `qpos0`, which need not be zero.
 
     Args:
         model: Compiled model.
         j: Index of the joint in MuJoCo.
         owner: Index of the carrying body in the tree, -1 for the bedplate.
-        X_OB: Pose of the MuJoCo body in the owner's frame, joint at zero.
+        X_OB: Pose of the MuJoCo body in the owner's frame, in the reference configuration.
     """
     body = model.body(model.jnt_bodyid[j]).name
     name = model.joint(j).name
@@ -224,7 +225,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, X_OB: Transform) -> Joi
 
 
 def _has_name(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
-    """Test whether a compiled model has an element of a type with a name."""
+    """Test whether a compiled model has an element of given type and name."""
     return int(mujoco.mj_name2id(model, kind, name)) >= 0
 
 
@@ -238,15 +239,15 @@ def _is_disabled(model: mujoco.MjModel, flag: str) -> bool:
 def _inertia_of(
     model: mujoco.MjModel, b: int, stated: dict[str, ExplicitInertia]
 ) -> Inertia:
-    """Inertia of a MuJoCo body about and along its frame.
+    """Inertia of a MuJoCo body relative to its frame.
 
-    As stated in the file if explicit there, else as computed by the compiler, with zero for a mass
-    up to MIN_COMPILED_MASS.
+    An explicit inertia is returned as stated in the file. Any other inertia is computed by MuJoCo's
+    compiler; it is set to zero if the mass is at most MIN_COMPILED_MASS.
 
     Args:
         model: Compiled model.
         b: Index of the body in MuJoCo.
-        stated: Explicit inertias by body.
+        stated: Explicit inertias, keyed by body.
     """
     explicit = stated.get(model.body(b).name)
     mass, moments = model.body_mass[b], model.body_inertia[b]

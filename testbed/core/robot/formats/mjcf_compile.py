@@ -1,4 +1,4 @@
-"""Compilation of MuJoCo models: without warnings, without missing meshes, within size limits."""
+"""Compilation of MuJoCo models without warnings, without missing meshes, within size limits."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from testbed.core.robot.rigid_matter import inertia_flaw
 MAX_BODIES, MAX_ELEMENTS = 5_000, 50_000
 """Largest numbers of bodies and of all elements, after replication and inclusion."""
 MAX_HFIELD_CELLS = 10**7
-"""Largest size of a height field, rows times columns."""
+"""Largest number of cells of a height field, rows times columns."""
 MAX_RESERVED = 10**6
 """Largest value in <size>; MuJoCo limits memory itself."""
 MAX_MESH_PARAMETER = 500
-"""Largest parameter of a builtin mesh: its resolution, whose square is the number of vertices."""
+"""Largest resolution of a builtin mesh; the number of vertices grows with its square."""
 MAX_FILE_DEPTH = 8
-"""Largest depth of files that include each other."""
+"""Largest nesting depth of included files."""
 _BODY_TAGS = ("body", "composite", "flexcomp")
 _REPLICATING_TAGS = ("replicate", "composite", "flexcomp")
 """Elements whose attribute `count` is the number of copies."""
@@ -51,7 +51,7 @@ class _ModelSize:
 
 
 def check_mjcf_size(path: Path) -> None:
-    """Check that an MJCF file, with included files and copies, is within size limits.
+    """Check that an MJCF file, with included files and replicated elements, is within size limits.
 
     Raises:
         ModelError: The file includes itself or is too large; a file is not XML, or not UTF-8.
@@ -75,7 +75,7 @@ class _SizeCounter:
         self._sizes: dict[Path, _ModelSize] = {}
 
     def size(self, path: Path, within: tuple[Path, ...]) -> _ModelSize:
-        """Numbers of elements and bodies that a file contributes, included files counted.
+        """Numbers of elements and bodies of a file and of its included files.
 
         Args:
             path: Model file.
@@ -99,9 +99,10 @@ class _SizeCounter:
         return self._sizes[place]
 
     def _count_elements(self, path: Path, within: tuple[Path, ...]) -> _ModelSize:
-        """Count the elements and bodies of a file, copies included; check encoding and numbers.
+        """Count the elements and bodies of a file with all copies; check encoding and numbers.
 
-        An <attach> counts the model that it names, or the largest of the file for an unknown name.
+        An <attach> element adds the size of the model that it names, or of the largest model of the
+        file for an unknown name.
 
         Args:
             path: Model file.
@@ -142,10 +143,10 @@ class _SizeCounter:
     ) -> _ModelSize:
         """Size of the file named by an element; zero if missing.
 
-        Names are relative to the including file or to the first file; the larger size counts.
+        Names are relative to the including file or to the first file; the larger size is used.
 
         Args:
-            element: Element with a `file`.
+            element: Element with the attribute `file`.
             path: File that contains the element.
             within: Files that include each other, outermost first.
         """
@@ -193,7 +194,10 @@ def _largest_number(element: ET.Element, key: str) -> float:
 
 
 def _elements_with_copies(root: ET.Element) -> Iterator[tuple[ET.Element, int]]:
-    """Yield the elements of a file with their numbers of copies by enclosing <replicate> etc."""
+    """Yield the elements of a file, each with its number of copies.
+
+    Copies come from enclosing elements with a tag in _REPLICATING_TAGS.
+    """
     pending = [(root, 1)]
     while pending:
         element, copies = pending.pop()
@@ -212,7 +216,8 @@ def _count_text(number: int) -> str:
 
 
 MIN_COMPILED_MASS = 1e-12
-"""Mass and inertia of massless bodies, required by the compiler; read back as zero [kg, kg m^2]."""
+"""Mass and inertia assigned to massless bodies for the compiler, and read back as zero
+[kg, kg m^2]."""
 FULLINERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Row and column of an inertia tensor's entries, in the order of MuJoCo's `fullinertia`."""
 
@@ -334,9 +339,9 @@ class ExplicitInertia:
 def extract_explicit_inertias(
     spec: mujoco.MjSpec,
 ) -> tuple[dict[str, str], dict[str, ExplicitInertia]]:
-    """Flaws of inconsistent inertias, and explicit inertias as in the file, both by body name.
+    """Flaws of inconsistent inertias, and explicit inertias as in the file, keyed by body name.
 
-    Inconsistent inertias in `spec` are replaced by 1 kg and 1 kg m^2, which lets the model compile.
+    Inconsistent inertias in `spec` are replaced by 1 kg and 1 kg m^2, so that the model compiles.
     Both results are empty if the compiler computes all inertias from geoms or balances them.
     """
     spec.compiler.boundmass = spec.compiler.boundinertia = MIN_COMPILED_MASS
@@ -378,7 +383,7 @@ def extract_explicit_inertias(
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> None:
-    """Replace the inertia of an editable body by `inertia`, about and along the body's frame."""
+    """Replace the inertia of an editable body by `inertia`, relative to the body's frame."""
     central = inertia.central
     body.explicitinertial = True
     body.mass, body.ipos, body.iquat = inertia.mass, inertia.com, [1.0, 0.0, 0.0, 0.0]
@@ -394,9 +399,9 @@ def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> None:
 def compile_copy(
     spec: mujoco.MjSpec, path: Path
 ) -> tuple[mujoco.MjModel, dict[str, ExplicitInertia]]:
-    """Compiled copy of a model, and explicit inertias as stated in the file, by body.
+    """Compiled copy of a model, and explicit inertias of the file keyed by body.
 
-    Compilation resolves frames, degrees, limits and masses.
+    Compilation resolves frames, angle units, limits and masses.
 
     Args:
         spec: Editable model, unchanged.

@@ -1,8 +1,8 @@
 """Editable MuJoCo model of an MJCF file: checked, reduced to the mechanism, joints locked.
 
-MuJoCo's compiler resolves classes, frames, includes and inertias implied by geoms. A tree has
-inertia, gravity, friction and motors. Other passive forces of MuJoCo, above all springs, are
-removed with a diagnostic: the simulated plant is the identified robot.
+MuJoCo's compiler resolves classes, frames, includes and inertias implied by geoms. A tree
+represents inertia, gravity, friction and motors. Other passive forces of MuJoCo, mainly springs,
+are removed with a diagnostic, so that the simulated plant equals the identified robot.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ _JOINT_WRAP, _SITE_WRAP = mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtWrap.mjWRAP_SIT
 _FORCE_SENSOR_TYPES = (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE)
 
 _Couplings: TypeAlias = dict[str, tuple[str | None, Array]]
-"""Master joint and five polynomial coefficients, by mimic joint; positions relative to the file's
-reference positions."""
+"""Master joint and five polynomial coefficients, keyed by mimic joint, for positions relative to
+the reference positions of the file."""
 
 
 def buffered_command_count(delay: float, timestep: float) -> int:
-    """Commands that a delayed actuator buffers, MuJoCo's `nsample`: ceil(delay / timestep) + 2.
+    """Number of commands that a delayed actuator buffers, ceil(delay / timestep) + 2.
 
-    Zero without delay.
+    This is MuJoCo's `nsample`; the number is zero for zero delay.
 
     Args:
         delay: Delay of the actuator [s].
@@ -65,10 +65,11 @@ def buffered_command_count(delay: float, timestep: float) -> int:
 def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]:
     """Editable MuJoCo model of an MJCF file, checked and reduced to the supported mechanism.
 
-    Locked joints are removed, their bodies placed accordingly. Errors are those of `load_tree`.
+    Locked joints are removed, and their bodies are placed at the locked positions. Errors are those
+    of `load_tree`.
 
     Returns:
-        Model, and diagnostics of faults that were accepted.
+        Editable model, and diagnostics of faults that were accepted.
     """
     path = file.path
     spec = parse_mjcf(path)
@@ -96,7 +97,7 @@ def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]
 
 
 def mjcf_joint_travels(path: Path) -> dict[str, JointTravel]:
-    """Master joints of hinge and slide joints by name, without ranges and polynomials."""
+    """Couplings of hinge and slide joints, keyed by name, without ranges and polynomials."""
     spec = parse_mjcf(path)
     couplings, _ = _remove_couplings(spec)
     followers = {
@@ -107,7 +108,7 @@ def mjcf_joint_travels(path: Path) -> dict[str, JointTravel]:
 
 
 def parse_mjcf(path: Path) -> mujoco.MjSpec:
-    """Parse an MJCF file to an editable MuJoCo model; name unnamed bodies and joints.
+    """Parse an MJCF file into an editable MuJoCo model; name unnamed bodies and joints.
 
     Mocap bodies become static, and constraints to them are removed.
 
@@ -150,7 +151,7 @@ def _set_total_mass(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _release_mocap(spec: mujoco.MjSpec) -> None:
-    """Remove body constraints to mocap bodies, which act as motors; make mocap bodies static."""
+    """Remove constraints that drive bodies with mocap bodies, and make mocap bodies static."""
     mocap_bodies = {body.name for body in spec.bodies if body.mocap}
     for equality in list(spec.equalities):
         ends = {equality.name1, equality.name2}
@@ -181,7 +182,7 @@ def _name_everything(spec: mujoco.MjSpec) -> None:
 def _remove_unused_elements(spec: mujoco.MjSpec) -> None:
     """Remove actuators, keyframes, textures, height fields and sensors other than force and torque.
 
-    Also removed are tuples, contact pairs and skins. Reserved memory sizes are reset.
+    Tuples, contact pairs and skins are also removed, and reserved memory sizes are reset.
     """
     for elements in (spec.actuators, spec.keys, spec.tuples, spec.pairs, spec.skins):
         for element in list(elements):
@@ -208,7 +209,7 @@ def lock_joints(
 
     Args:
         spec: Model, changed in place.
-        lock: Positions of the joints to be locked.
+        lock: Positions of the joints to be locked, keyed by name [rad or m].
         path: Model file, for messages.
 
     Returns:
@@ -247,7 +248,7 @@ def _check_loops(
     locked: JointLocks,
     path: Path,
 ) -> None:
-    """Raise LoopError for the first of `loops` (joints by constraint) with joints not locked."""
+    """Raise LoopError for the first of `loops` (joints by constraint) with unlocked joints."""
     for constraint, joints in loops.items():
         moving = {
             name: travels[name].rest_position
@@ -263,8 +264,8 @@ def _remove_couplings(
 ) -> tuple[_Couplings, dict[str, tuple[str, ...]]]:
     """Remove equality constraints from a model; return joint couplings and loops.
 
-    Couplings are by mimic joint; loops map a description of the constraint to the joints along it.
-    Loops are all active constraints other than a joint's first coupling; inactive ones are ignored.
+    Couplings are keyed by mimic joint; loops map a description of a constraint to its joints. Every
+    active constraint is a loop unless it is the first coupling of a joint.
     """
     couplings: _Couplings = {}
     loops: dict[str, tuple[str, ...]] = {}
@@ -293,8 +294,8 @@ def _joint_coupling(
 ) -> tuple[str, str | None, Array] | None:
     """Mimic joint, master and polynomial coefficients (5,) of an equality constraint.
 
-    None if the constraint is no coupling. The master of a joint at a constant position is None. A
-    tendon of fixed length over two joints, c1 q1 + c2 q2 = length, couples the first to the second.
+    The result is None if the constraint does not couple joints. The master of a joint at a constant
+    position is None. A tendon of fixed length, c1 q1 + c2 q2 = length, couples joint 1 to joint 2.
     """
     data = np.array(equality.data[:5])
     if equality.type == mujoco.mjtEq.mjEQ_JOINT:
@@ -317,7 +318,7 @@ def _joint_coupling(
 
 
 def _loop_joints(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]:
-    """Joint names along the loop of an equality constraint, without carriers of both ends."""
+    """Names of the joints in a constraint's loop, except joints that carry both ends."""
     names = [name for name in (equality.name1, equality.name2) if name]
     if equality.type == mujoco.mjtEq.mjEQ_JOINT:
         return tuple(names)
@@ -345,7 +346,7 @@ def _loop_joints(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str
 
 
 def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, JointTravel]:
-    """Range and coupling of every joint of a compiled model, by name; in absolute positions."""
+    """Range and coupling of a compiled model's joints, keyed by name, as absolute positions."""
     names = [model.joint(j).name for j in range(model.njnt)]
     zero = {
         name: float(model.qpos0[model.jnt_qposadr[j]]) for j, name in enumerate(names)
@@ -440,8 +441,8 @@ def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ..
         path: Model file, for messages.
 
     Returns:
-        Diagnostics of removed forces, with the names of joints or bodies. Damping that is stated as
-        time constant and damping ratio of a spring is kept.
+        Diagnostics of removed forces, with the names of joints or bodies. Damping that is stated by
+        the time constant and damping ratio of a spring is kept.
     """
     springs, nonlinear, compensated = list[str](), list[str](), list[str]()
     spring_damping = _spring_damping(spec, path)
@@ -474,9 +475,9 @@ def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ..
 
 
 def _spring_damping(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
-    """Damping of joints with `springdamper` (time constant, damping ratio), by joint.
+    """Damping of joints with `springdamper` (time constant, damping ratio), keyed by joint.
 
-    As MuJoCo's compiler computes it [N m s/rad or N s/m].
+    The damping is that computed by MuJoCo's compiler [N m s/rad or N s/m].
     """
     names = [joint.name for joint in spec.joints if np.all(joint.springdamper)]
     if not names:

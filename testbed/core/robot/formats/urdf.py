@@ -1,8 +1,8 @@
 """Reader of URDF files: builds a tree with Pinocchio, independently of the MJCF reader.
 
-Pinocchio reads the kinematics and merges fixed links; faults that it ignores are found in the
-XML before. Visual and collision elements are dropped unread, so meshes and `package://`
-addresses do not matter.
+Pinocchio reads the kinematics and merges fixed links; faults that Pinocchio ignores are detected in
+the XML beforehand. Visual and collision elements are dropped unread, so that meshes and
+`package://` addresses have no effect.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class UrdfModel:
     Attributes:
         path: URDF file.
         root: Root element of the XML.
-        links: Links with inertias as stated in the file, carriers before what they carry.
-        repair: Replacements of inconsistent inertias.
-        diagnostics: Faults of the file that were accepted.
+        links: Links with inertias as stated in the file, each after its carrier.
+        repair: Replacements for inconsistent inertias.
+        diagnostics: Diagnostics of faults in the file that were accepted.
     """
 
     path: Path
@@ -80,7 +80,7 @@ class UrdfModel:
 
 
 def read(file: ModelSource) -> UrdfModel:
-    """Read a URDF file to checked XML, with the errors of `load_tree`."""
+    """Read a URDF file into checked XML; raises the errors of `load_tree`."""
     path = file.path
     root, diagnostics = checked_urdf_xml(file)
     elements = {link.get("name", ""): link for link in root.findall("link")}
@@ -110,8 +110,8 @@ def _links(
 ) -> tuple[tuple[ModelLink, ...], tuple[int, ...]]:
     """Links with inertias as stated in the file, and parent indices of the tree's bodies.
 
-    Links are in the order of Pinocchio's frames, carriers first. The parent index of a body is -1
-    for the bedplate.
+    Links are in the order of Pinocchio's frames, carriers first. Bodies carried by the bedplate
+    have the parent index -1.
 
     Args:
         root: Checked XML, with locked joints made fixed.
@@ -152,7 +152,7 @@ def _links(
 
 
 def _link_inertia(link: ET.Element) -> Inertia:
-    """Stated inertia of a link, about and along the link's frame; zero if missing."""
+    """Stated inertia of a link, relative to the link's frame; zero if missing."""
     inertial = link.find("inertial")
     if inertial is None:
         return ZERO_INERTIA
@@ -187,7 +187,7 @@ def _link_flaw(link: ET.Element) -> str | None:
     """Reason why a link's inertial element is physically inconsistent; None if consistent.
 
     Raises:
-        ModelError: The inertial has no mass or no inertia.
+        ModelError: The inertial element has no mass or no inertia.
     """
     name, inertial = link.get("name", "?"), link.find("inertial")
     if inertial is None:
@@ -205,7 +205,7 @@ def _link_flaw(link: ET.Element) -> str | None:
 
 
 def _mass_and_tensor(inertial: ET.Element) -> tuple[float, Array]:
-    """Mass [kg], and inertia tensor about and along the inertial's origin, (3, 3) [kg m^2]."""
+    """Mass [kg] and inertia tensor in the frame of an inertial element, (3, 3) [kg m^2]."""
     (mass,) = attribute_numbers(inertial.find("mass"), "value")
     central = np.empty((3, 3))
     for key, (a, b) in TENSOR_INDICES.items():
@@ -222,7 +222,7 @@ def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
 
     Args:
         link: Link element, changed in place.
-        inertia: Inertia about and along the link's frame.
+        inertia: Inertia relative to the link's frame.
     """
     for old in link.findall("inertial"):
         link.remove(old)
@@ -240,13 +240,13 @@ def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
 def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
     """Joint j of a Pinocchio model as a joint of the tree.
 
-    Limits of zero (of both position limits) are unknown in URDF and become infinite, as are the
-    position limits of continuous joints.
+    In URDF, velocity and effort limits of zero, and position limits that are both zero, mean
+    unknown limits; they become infinite, as do the position limits of continuous joints.
 
     Args:
         model: Pinocchio model.
         j: Index of the joint in Pinocchio, from 1.
-        bodies: Link names by Pinocchio's joint index.
+        bodies: Link names, keyed by Pinocchio's joint index.
     """
     kind, axis = _kind_and_axis(model, j)
     v, q = model.idx_vs[j], model.idx_qs[j]
@@ -277,7 +277,7 @@ def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
 
 
 def _kind_and_axis(model: pin.Model, j: int) -> tuple[JointKind, np.ndarray]:
-    """Kind and unit axis (3,) of a joint in the body's frame, from Pinocchio's subspace."""
+    """Kind of a joint and unit axis in the body's frame, from the motion subspace."""
     linear, angular = np.split(np.ravel(model.joints[j].createData().S), 2)
     revolute = np.linalg.norm(angular) > 0.5
     return ("revolute", angular.copy()) if revolute else ("prismatic", linear.copy())

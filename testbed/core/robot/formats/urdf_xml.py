@@ -1,8 +1,8 @@
-"""XML of a URDF file: checked, with plain numbers, with locked joints made fixed.
+"""Checked XML of a URDF file, with plain numbers and with locked joints made fixed.
 
-Faults that parsers ignore are found here: loops, unconnected links, floating and planar joints,
-misspelled elements. Parsers differ in the numbers that they accept, as "3 ": texts that are no
-plain numbers are rejected, numbers are rewritten for Pinocchio and MuJoCo alike.
+Faults that parsers ignore are detected here: loops, unconnected links, floating and planar joints,
+misspelled elements. Parsers differ in the numbers that they accept, such as "3 ". Texts that are
+not plain numbers are rejected; numbers are rewritten so that Pinocchio and MuJoCo accept them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from testbed.core.robot.rotations import (
 from testbed.core.robot.tree import AXIS_NORM_TOLERANCE, MAX_COORDINATE, ModelSource
 
 MAX_CHAIN_LENGTH = 1_500
-"""Largest number of links in series: Pinocchio's parser overflows its stack at 2000 to 4000."""
+"""Largest number of links in series; Pinocchio's parser overflows its stack at 2000 to 4000."""
 _MOVING_TYPES = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*_MOVING_TYPES, "fixed")
 _USED_TAGS: dict[str, tuple[str, ...]] = {
@@ -50,13 +50,13 @@ _USED_TAGS: dict[str, tuple[str, ...]] = {
     "joint": ("parent", "child", "origin", "axis", "limit", "dynamics", "mimic"),
     "inertial": ("origin", "mass", "inertia"),
 }
-"""Child elements that are read, by parent element."""
+"""Child elements that are read, keyed by parent element."""
 _IGNORED_TAGS: dict[str, tuple[str, ...]] = {
     "robot": ("material", "transmission", "gazebo", "sensor", "ros2_control", "mujoco"),
     "link": ("visual", "collision"),
     "joint": ("safety_controller", "calibration"),
 }
-"""Known child elements for simulators, drawings and drives, by parent element."""
+"""Known child elements for simulators, drawings and drives, keyed by parent element."""
 
 TENSOR_INDICES = {
     "ixx": (0, 0),
@@ -66,7 +66,7 @@ TENSOR_INDICES = {
     "iyz": (1, 2),
     "izz": (2, 2),
 }
-"""Row and column of an inertia tensor's entry, by attribute."""
+"""Row and column of an inertia tensor's entry, keyed by attribute."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ _NUMBER_FORMATS = {
     "mesh": {"scale": _NumberFormat(3, "1 1 1", MAX_COORDINATE)},
     "color": {"rgba": _NumberFormat(4, None, 1.0)},
 }
-"""Formats of attributes that hold numbers, by element and attribute."""
+"""Formats of attributes that hold numbers, keyed by element, then by attribute."""
 _TEXT_ATTRIBUTES: dict[str, tuple[str, ...]] = {
     "robot": ("name", "version"),
     "link": ("name",),
@@ -128,7 +128,7 @@ _TEXT_ATTRIBUTES: dict[str, tuple[str, ...]] = {
     "child": ("link",),
     "mimic": ("joint",),
 }
-"""Known attributes without numbers, by element."""
+"""Known attributes without numbers, keyed by element."""
 _NON_FINITE_WORDS = ("nan", "inf", "infinity")
 """Words for numbers that are not finite."""
 
@@ -136,10 +136,10 @@ _NON_FINITE_WORDS = ("nan", "inf", "infinity")
 def checked_urdf_xml(
     file: ModelSource, *, keep_visuals: bool = False
 ) -> tuple[ET.Element, tuple[Diagnostic, ...]]:
-    """Root element of a URDF file with links and joints, checked; locked joints become fixed.
+    """Checked root element of a URDF file, with locked joints made fixed.
 
     Args:
-        file: Model file with options of reading; errors are those of `load_tree`.
+        file: Model file with options for reading; errors are those of `load_tree`.
         keep_visuals: True to keep visual elements and materials.
 
     Returns:
@@ -157,12 +157,12 @@ def _checked_xml(
 ) -> tuple[ET.Element, list[Diagnostic]]:
     """Root element of a URDF file with links and joints, checked to form a tree.
 
-    Numbers are in plain form; unused elements and accepted faults are removed, with diagnostics,
-    the second result. Errors are those of `load_tree`.
+    Numbers are rewritten in plain form. Unused elements and accepted faults are removed; the second
+    result holds the diagnostics. Errors are those of `load_tree`.
 
     Args:
         path: URDF file.
-        weld_root: True to make a floating joint at the root a fixed joint.
+        weld_root: True to convert a floating joint at the root to a fixed joint.
         keep_visuals: True to keep visual elements and materials.
     """
     root = read_xml(path)
@@ -219,7 +219,7 @@ def _check_joint(joint: ET.Element) -> None:
 def _correct_faults(element: ET.Element) -> Iterator[Diagnostic]:
     """Correct repeated origins and negative friction of an element; yield a diagnostic for each.
 
-    Of several origins the first is kept, as by urdfdom; negative friction becomes zero.
+    The first of several origins is kept, as in urdfdom; negative friction is set to zero.
     """
     name = f"{element.tag} '{element.get('name', '')}'"
     for part in (
@@ -236,13 +236,13 @@ def _correct_faults(element: ET.Element) -> Iterator[Diagnostic]:
 
 
 def urdf_joint_travels(path: Path) -> dict[str, JointTravel]:
-    """Range and mimic coupling of every moving joint of a URDF file, by name."""
+    """Range and mimic coupling of every moving joint of a URDF file, keyed by name."""
     root, _ = _checked_xml(path, weld_root=True)
     return _travels(root.findall("joint"))
 
 
 def _travels(joints: list[ET.Element]) -> dict[str, JointTravel]:
-    """Range and coupling of moving joints among checked joint elements, by name."""
+    """Range and coupling of moving joints among checked joint elements, keyed by name."""
     moving = {
         joint.get("name", ""): joint
         for joint in joints
@@ -276,9 +276,9 @@ def _travels(joints: list[ET.Element]) -> dict[str, JointTravel]:
 def _fix_locked_joints(
     joints: list[ET.Element], lock: JointLocks, path: Path
 ) -> tuple[Diagnostic, ...]:
-    """Make locked joints fixed joints at the locked positions.
+    """Convert locked joints to fixed joints at the locked positions.
 
-    Returns the diagnostics of `lock_positions`. Joints without limits get zeros for unknown limits.
+    Returns the diagnostics of `lock_positions`. Missing limits become zero, which means unknown.
     """
     locked, diagnostics = lock_positions(_travels(joints), lock, path.name)
     for joint in joints:
@@ -298,7 +298,7 @@ def _fix_locked_joints(
 
 
 def _move_origin(joint: ET.Element, position: float) -> None:
-    """Displace a joint's origin by the joint motion to a position [rad or m]."""
+    """Displace a joint's origin by the motion of the joint to a position [rad or m]."""
     origin = joint.find("origin")
     if origin is None:
         origin = ET.SubElement(joint, "origin")
@@ -352,7 +352,7 @@ def _remove_unused_elements(
 def _carriers(
     links: list[ET.Element], joints: list[ET.Element]
 ) -> dict[str, ET.Element]:
-    """Joint that carries each link, by link name; ModelError unless links form one tree."""
+    """Joint that carries each link, keyed by link; ModelError unless links form one tree."""
     for what, elements in (("link", links), ("joint", joints)):
         names = [element.get("name", "") for element in elements]
         if "" in names:
@@ -384,7 +384,7 @@ def _check_tree(known: set[str], carriers: dict[str, ET.Element]) -> None:
 
     Args:
         known: Names of all links.
-        carriers: Joint that carries each link, by link name.
+        carriers: Joint that carries each link, keyed by link name.
     """
     roots = [name for name in known if name not in carriers]
     children: dict[str, list[str]] = {}
@@ -410,7 +410,7 @@ def _check_tree(known: set[str], carriers: dict[str, ET.Element]) -> None:
 
 
 def joint_link(joint: ET.Element, end: str) -> str:
-    """Name of a joint's link at an end, "parent" or "child"; "" if missing."""
+    """Name of the "parent" or "child" link of a joint; "" if missing."""
     element = joint.find(end)
     return "" if element is None else element.get("link", "")
 
@@ -456,13 +456,13 @@ def attribute_numbers(
 def _plain_numbers(
     text: str, numbers: _NumberFormat, where: str, allow_nan: bool
 ) -> str:
-    """Text of numbers in plain form, checked against a format.
+    """Numbers of an attribute in plain form, checked against a format.
 
     Args:
         text: Text of the attribute.
         numbers: Required format.
         where: Description of the attribute, for messages.
-        allow_nan: True to return only "nan"s if some of the numbers is NaN or infinite.
+        allow_nan: True to return "nan" for all numbers if any number is NaN or infinite.
 
     Raises:
         ModelError: Count, form or size of the numbers is wrong.

@@ -9,4 +9,4 @@ from testbed.core.robot.joint_law import JointLaw
 ASYMMETRIC = JointLaw("asymmetric", "N m s/rad", "N s/m", lambda qd, qdd: np.abs(qd))
 """Difference of viscous friction between the two directions of motion.
 
-The same difference of Coulomb friction is an offset."""
+A difference of Coulomb friction between the two directions is equivalent to a torque offset."""

@@ -21,8 +21,8 @@ class Backlash(ModelErrorFamily):
     def columns(self, point: Linearization) -> Array:
         """Effects of position errors with the sign of the quasi-static torque, (m, C, n) [N, N m].
 
-        The errors are 0.5 mrad or mm. The torque is that of the bodies below QUASI_STATIC_CUTOFF;
-        the sign is smooth within 2 % of the greatest torque.
+        The errors are 0.5 mrad or mm. The torque is the low-passed torque of the bodies, below
+        QUASI_STATIC_CUTOFF; the sign is smooth within 2 % of the greatest torque.
         """
         torque = point.quasi_static_part(point.forces.torque)
         side = np.tanh(torque / (0.02 * point.sizes.torque))

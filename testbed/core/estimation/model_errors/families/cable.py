@@ -1,4 +1,4 @@
-"""Cable or hose that pulls at a body."""
+"""Cable or hose that pulls on a body."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class Cable(FrameFamily):
-    """Cable or hose that pulls at a body."""
+    """Cable or hose that pulls on a body."""
 
     kind = "cable"
     label = "a cable or hose that pulls"
@@ -24,8 +24,9 @@ class Cable(FrameFamily):
     def columns(self, point: Linearization) -> Array:
         """Effects of forces at the origins of the bodies, (m, C, 4 (n - 1)) [N, N m].
 
-        At each body after the first: a constant force of 4 N along each axis of the bedplate, and a
-        spring of 8 N/m to the bedplate's origin. Moments of the wrench are about that origin.
+        Each body after the first is subject to a constant force of 4 N along each axis of the
+        bedplate, and to a spring of 8 N/m to the origin of the bedplate. Moments of the wrench are
+        about this origin.
         """
         pulls = []
         for j in range(1, point.tree.n):

@@ -23,10 +23,10 @@ class CoupledFriction(JointFamily):
         return point.tree.n > 1
 
     def torques(self, point: Linearization) -> Array:
-        """Sign, velocity and acceleration of parent and child joint, (m, n, 6) [N m or N].
+        """Sign of velocity, velocity and acceleration of adjacent joints, (m, n, 6) [N m or N].
 
-        The three columns of the parent come first, then those of the last child. They are relative
-        to the greatest speed and acceleration, times 2 % of the joint's greatest torque.
+        The three columns of the parent come first, then those of the last child. They are scaled by
+        the greatest speed and acceleration and by 2 % of the joint's greatest torque.
         """
         speed = point.motion.qd / point.sizes.speed
         acceleration = point.motion.qdd / point.sizes.acceleration

@@ -17,7 +17,7 @@ class ElasticJoint(ModelErrorFamily):
     noisy = True
 
     def columns(self, point: Linearization) -> Array:
-        """Effects of joint deflections in proportion to quasi-static torques, (m, C, n) [N, N m].
+        """Effects of joint deflections proportional to quasi-static torques, (m, C, n) [N, N m].
 
         The deflection is 2 mrad or mm at the greatest torque of the bodies, low-passed at
         QUASI_STATIC_CUTOFF.

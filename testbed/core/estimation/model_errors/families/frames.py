@@ -20,8 +20,8 @@ class Frames(FrameFamily):
     def columns(self, point: Linearization) -> Array:
         """Effects of frame offsets and rotations, (m, C, 5 n) [N, N m].
 
-        Before each joint: offsets of 0.5 mm along the three axes of the frame at q = 0, and
-        rotations of 0.2 degrees about two axes normal to the joint axis.
+        The errors before each joint are offsets of 0.5 mm along the three axes of the frame at zero
+        joint positions, and rotations of 0.2 degrees about two axes normal to the joint axis.
         """
         n = point.tree.n
         size = np.tile([5e-4] * 3 + [np.deg2rad(0.2)] * 2, n)

@@ -21,8 +21,8 @@ class FrictionLaw(JointFamily):
     def torques(self, point: Linearization) -> Array:
         """Stribeck terms, absolute speed and signed square of speed, (m, n, 4) [N m or N].
 
-        Two Stribeck terms fall exponentially with 3 % and 13 % of the greatest speed. Factor: 3 %
-        of the joint's greatest torque.
+        The two Stribeck terms decay exponentially, with decay speeds of 3 % and 13 % of the
+        greatest speed. All columns are scaled by 3 % of the joint's greatest torque.
         """
         speed = np.abs(point.motion.qd) / point.sizes.speed
         laws = [

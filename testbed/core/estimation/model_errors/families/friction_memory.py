@@ -20,13 +20,13 @@ class FrictionMemory(JointFamily):
     noisy = True
 
     def torques(self, point: Linearization) -> Array:
-        """Dahl friction of two presliding distances less Coulomb friction, (m, n, 2) [N m or N]."""
+        """Dahl minus Coulomb friction for two presliding distances, (m, n, 2) [N m or N]."""
         memories = [_dahl_deviation(point, travel) for travel in (2e-3, 8e-3)]
         return 0.06 * point.sizes.torque[:, None] * np.stack(memories, axis=2)
 
 
 def _dahl_deviation(point: Linearization, travel: float) -> Array:
-    """Dahl friction of amplitude one less the sign of the velocity, (m, n).
+    """Difference `f - sign(qd)` of Dahl friction f of unit amplitude and Coulomb friction, (m, n).
 
     Args:
         point: Motion.

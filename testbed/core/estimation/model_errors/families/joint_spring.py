@@ -1,4 +1,4 @@
-"""Torque that depends on the joint's position, as of a hose."""
+"""Torque as a function of the joint's position, such as that of a hose."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class JointSpring(JointFamily):
-    """Torque that depends on the joint's position, as of a hose."""
+    """Torque as a function of the joint's position, such as that of a hose."""
 
     kind = "joint_spring"
     label = "a torque by the position"
@@ -20,7 +20,7 @@ class JointSpring(JointFamily):
     )
 
     def torques(self, point: Linearization) -> Array:
-        """Centred joint position and the square of it, (m, n, 2) [N m or N]."""
+        """Torques linear and quadratic in the centred joint position, (m, n, 2) [N m or N]."""
         position = (point.motion.q - point.sizes.middle) / point.sizes.range
         return (
             0.02

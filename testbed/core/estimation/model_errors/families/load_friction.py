@@ -1,4 +1,4 @@
-"""Friction in proportion to the load."""
+"""Friction proportional to the load."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class FrictionByLoad(JointFamily):
-    """Friction in proportion to the load."""
+    """Friction proportional to the load."""
 
     kind = "load_friction"
     label = "friction by the load"
@@ -19,5 +19,5 @@ class FrictionByLoad(JointFamily):
     is_term = True
 
     def torques(self, point: Linearization) -> Array:
-        """Magnitude of the bodies' torque times the sign of the velocity, (m, n, 1) [N m or N]."""
+        """Product of the bodies' absolute torque and the sign of velocity, (m, n, 1) [N m or N]."""
         return 0.1 * (np.abs(point.forces.torque) * point.smooth_sign)[..., None]

@@ -19,7 +19,7 @@ class Ripple(JointFamily):
     alternatives = 40
 
     def torques(self, point: Linearization) -> Array:
-        """Sine and cosine of each of 40 multiples of the position, (m, n, 80) [N m or N]."""
+        """Sines and cosines of 40 multiples of the position, (m, n, 80) [N m or N]."""
         orders = np.arange(1, self.alternatives + 1)
         angle = point.motion.q[..., None] * orders
         waves = np.stack([np.sin(angle), np.cos(angle)], axis=3)

@@ -18,6 +18,6 @@ class Rotor(JointFamily):
     remedy = "estimate it: --terms coulomb,viscous,offset,rotor"
 
     def torques(self, point: Linearization) -> Array:
-        """Torques in proportion to the joint accelerations, (m, n, 1) [N m or N]."""
+        """Torques proportional to the joint accelerations, (m, n, 1) [N m or N]."""
         torque = point.motion.qdd / point.sizes.acceleration
         return np.asarray(0.05 * (point.sizes.torque * torque)[..., None])

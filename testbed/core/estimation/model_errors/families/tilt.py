@@ -21,12 +21,12 @@ class BaseTilt(FrameFamily):
     remedy = "level the base, or state gravity: --gravity"
 
     def coefficient_scales(self, tree: Tree) -> Sequence[tuple[str, str, float]]:
-        """Rotations about the bedplate's axes."""
+        """Rotations about the axes of the bedplate, as coefficients to be reported."""
         del tree
         return [(f"tilt/{axis}", "deg", 1.0) for axis in "xyz"]
 
     def columns(self, point: Linearization) -> Array:
-        """Effects of rotating the base by one degree, in axes of the plate, (m, C, 3) [N, N m].
+        """Effects of rotating the base by one degree, (m, C, 3) [N, N m].
 
         Rotations are about the bedplate's axes. For the wrench method, the plate turns with the
         base.

@@ -25,5 +25,5 @@ class TorqueLag(JointFamily):
         return [(f"delay/{name}", "s", 0.005) for name in tree.names]
 
     def torques(self, point: Linearization) -> Array:
-        """Change of the torques by a delay of 5 ms, (m, n, 1) [N m or N]."""
+        """Change of the torques due to a delay of 5 ms, (m, n, 1) [N m or N]."""
         return np.asarray(-0.005 * point.time_derivative(point.total_torque)[..., None])

@@ -61,7 +61,8 @@ class _UnknownChannels(ModelErrorFamily):
 
         Args:
             point: Motion and predicted forces.
-            features: Features, (m, k); one is 3 % of the channel's greatest magnitude.
+            features: Features, (m, k); a value of one corresponds to 3 % of the channel's greatest
+                magnitude.
         """
         is_wrench = point.method == "wrench"
         size = point.sizes.wrench if is_wrench else point.sizes.torque
