@@ -316,8 +316,7 @@ def correlation_times(residual: Array) -> Array:
             continue
         lagged = np.correlate(channel, channel, "full")[samples - 1 :]
         correlation = lagged / lagged[0]
-        uncorrelated = np.flatnonzero(correlation[1:] < CORRELATION_THRESHOLD)
-        last = uncorrelated[0] + 1 if len(uncorrelated) else samples
-        total = 1 + 2 * correlation[1:last].sum()
-        times[k] = np.clip(total, 1, max(samples / 12, 1))
+        correlated = np.append(correlation[1:] >= CORRELATION_THRESHOLD, False)
+        last = 1 + int(np.argmin(correlated))
+        times[k] = np.clip(1 + 2 * correlation[1:last].sum(), 1, samples / 12)
     return times

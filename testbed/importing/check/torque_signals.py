@@ -154,12 +154,12 @@ def _low_passed(signal: Array, rate: float, cutoff: float) -> Array:
     """
     from scipy.fft import dst, idst  # scipy.signal takes a second
 
-    filtered = np.linspace(signal[0], signal[-1], len(signal))
-    harmonics = np.arange(1, len(signal) - 1)
-    warped = np.tan(np.pi * harmonics / (2 * (len(signal) - 1)))
-    gain = 1.0 / (1.0 + (warped / np.tan(np.pi * cutoff / rate)) ** 6)
-    coefficients = dst((signal - filtered)[1:-1], type=1, axis=0)
-    filtered[1:-1] += idst(gain[:, None] * coefficients, type=1, axis=0)
+    count = len(signal) - 1
+    filtered = np.linspace(signal[0], signal[-1], count + 1)
+    warped = np.tan(np.pi * np.arange(1, count) / (2 * count))
+    relative = warped / np.tan(np.pi * cutoff / rate)
+    series = dst((signal - filtered)[1:-1], 1, axis=0)
+    filtered[1:-1] += idst(series / (1 + relative[:, None] ** 6), 1, axis=0)
     return filtered
 
 
