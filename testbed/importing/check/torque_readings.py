@@ -317,6 +317,6 @@ def correlation_times(residual: Array) -> Array:
         lagged = np.correlate(channel, channel, "full")[samples - 1 :]
         correlation = lagged / lagged[0]
         correlated = np.append(correlation[1:] >= CORRELATION_THRESHOLD, False)
-        last = 1 + int(np.argmin(correlated))
+        last = 1 + np.argmin(correlated)
         times[k] = np.clip(1 + 2 * correlation[1:last].sum(), 1, samples / 12)
     return times
