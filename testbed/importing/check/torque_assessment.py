@@ -413,10 +413,7 @@ def _description(case: TorqueCase, reading: LogReading) -> str:
         if each.kind == "gravity":
             parts.append(f"gravity {gravity_description(reading)}")
         elif each.kind == "delay":
-            delay = 1e3 * each.values[0]
-            parts.append(
-                f"torques that are {abs(delay):.0f} ms {'late' if delay > 0 else 'early'}"
-            )
+            parts.append(f"torques with a delay of {1e3 * each.values[0]:.0f} ms")
         else:
             parts.append(hypothesis_description(case.tree, each))
     return " and ".join(parts)

@@ -265,8 +265,8 @@ def torque_products(
         springs = (spring_torques(signals, size) * is_sprung).T
         local = np.concatenate([local, springs[..., None]], axis=2)
     columns = np.concatenate([inertial, local], axis=2) * counted[..., None]
-    extra = local.shape[2] - len(LOCAL_MEAN)
-    expected = np.pad(LOCAL_MEAN / LOCAL_SIGMA, (0, extra))
+    expected = np.zeros(local.shape[2])
+    expected[: len(LOCAL_MEAN)] = LOCAL_MEAN / LOCAL_SIGMA
     return TorqueProducts(
         columns,
         gravity_columns * counted[..., None, None],
