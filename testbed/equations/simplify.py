@@ -214,7 +214,14 @@ def _half_angle(index: AngleSum) -> AngleSum | None:
 def _term(
     ring: PolynomialRing, monomial: int, products: GroupProducts, number: Number
 ) -> Term:
-    """Term of an expression for a monomial times products of sines and cosines."""
+    """Term of an expression: a number times a monomial times products of sines and cosines.
+
+    Args:
+        ring: Ring of the polynomial.
+        monomial: Number that encodes the exponents of the ring's atoms.
+        products: Sine and cosine factors, by group of parallel angles.
+        number: Coefficient.
+    """
     factors = [
         factor for factor, power in ring.exponents(monomial) for _ in range(power)
     ]

@@ -181,7 +181,7 @@ def _posterior_tables(run: Run) -> list[Table]:
     """Tables of prediction errors on held-out data, followed by a run's posteriors.
 
     There are prediction errors for each posterior and each validation. The values of a posterior
-    are tabulated only if its prior is needed (`Posterior.used`).
+    are tabulated only if the data alone do not determine them (`Posterior.used`).
     """
     posteriors, validations = run.posterior.values(), run.validation.values()
     errors = [errors for each in posteriors for errors in each.errors]

@@ -340,7 +340,7 @@ def mapping_with_lines(
 def _corrected_lines(
     tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]
 ) -> Iterator[MappingLine]:
-    """Yield the lines of a mapping that apply a hypothesis, relative to the current values."""
+    """Yield the lines of a mapping that apply a hypothesis, combined with the current values."""
     table_name = HYPOTHESIS_KINDS[hypothesis.kind].table
     if hypothesis.kind == "spring":
         return  # no line of a mapping corrects a spring

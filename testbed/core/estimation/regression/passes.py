@@ -244,7 +244,7 @@ load."""
 
 
 def is_compiled(plan: Plan) -> bool:
-    """True if the compiled kernel computes a plan's rows; by default above MIN_COMPILED_SECONDS."""
+    """True if the compiled kernel is used: if NumPy would take MIN_COMPILED_SECONDS or more."""
     # measured time of NumPy per sample, and per sample and number of `Layout.theta` [s]
     seconds = plan.source.samples * (4e-6 + 6e-9 * plan.layout.theta.size)
     preferred = plan.engine == "compiled" or (

@@ -97,7 +97,7 @@ def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]
 
 
 def mjcf_joint_travels(path: Path) -> dict[str, JointTravel]:
-    """Couplings of hinge and slide joints, keyed by name, without ranges and polynomials."""
+    """Master joint of each coupled hinge or slide joint, by name; other fields are unset."""
     spec = parse_mjcf(path)
     couplings, _ = _remove_couplings(spec)
     followers = {
