@@ -325,8 +325,9 @@ def validate(
 ) -> None:
     """Validate estimates by the residuals of a recording that was not used for the fit.
 
-    Residuals are compared with the noise of the estimate's own recording and the uncertainty of
-    the prediction by the parameters' sigma; above twice the sum of both there is a warning.
+    Residuals are compared with their expected size: the root of the sum of squares of the noise
+    in the estimate's own recording and of the prediction's sigma. Residuals above twice the
+    expected size cause a warning.
 
     Example: testbed validate other.parquet runs/table6-286a25ef
     """

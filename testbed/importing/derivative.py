@@ -385,11 +385,11 @@ def _correcting_lines(
 
 
 def _log_size_excess(rms: Array, ratios: Array) -> float:
-    """Excess of log sizes if the derivative's unit is corrected instead of the signal's unit.
+    """Difference of a unit criterion: derivative's unit corrected minus signal's unit corrected.
 
-    The log size is the sum of |log(rms)| of signal and derivative after the correction. Joints
-    typically move by about one radian or metre, and by about as much per second, so the log size is
-    small if the units are right. A positive excess indicates a wrong unit of the signal.
+    The criterion is the sum of |log(rms)| of signal and derivative after the correction. Joints
+    typically move by about one radian or metre, and by about as much per second, so the criterion
+    is small if the units are right. A positive difference indicates a wrong unit of the signal.
 
     Args:
         rms: Root mean squares of signal and derivative, (2, n).

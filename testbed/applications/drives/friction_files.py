@@ -35,8 +35,8 @@ def friction_table(findings: DriveIdentification) -> str:
     """CSV table of friction curves and fitted friction laws.
 
     It has one row per node of each joint's curve, with the columns `TABLE_COLUMNS`, in SI units at
-    the joint side and in terms of true torque. The column "law" is the friction from the joint's
-    terms at zero load.
+    the joint side; torques are corrected by the joint's torque constant. The column "law" is the
+    friction of the fitted joint terms without load.
 
     Args:
         findings: Friction curves and terms of all joints.

@@ -262,7 +262,8 @@ def _prismatic_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
     Row 1 applies to a carrier that rotates about several directions, row 2 to a carrier that
     rotates about one direction not parallel to the joint axis, row 3 to other carriers. The mass
     mbar is kept with all first moments (rows 2.1, 3.1, 3.2), with first moments normal to the
-    direction of rotation (2.2) or to the joint axis (3.3), or alone (2.3). The tensor migrates.
+    direction of rotation (2.2) or to the joint axis (3.3), or alone (2.3). The inertia
+    tensor is regrouped into the carrier.
     """
     unit = np.eye(10)[0]
     mass = KeptParameter(((1.0, "mbar", ""),), unit, unit, axial=True)

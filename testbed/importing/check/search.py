@@ -195,7 +195,7 @@ class Search:
         return self.fits[hypotheses]
 
     def _explanations(self, first: HypothesisFit) -> list[Explanation]:
-        """Explanations from successive search stages, up to the first that explains the plate.
+        """Explanations from successive search stages, up to the first that explains the wrench.
 
         Args:
             first: Fit without hypotheses.

@@ -257,7 +257,7 @@ def single_reading_verdict(case: TorqueCase) -> TorqueVerdict:
 def _refined_readings(
     case: TorqueCase, readings: Sequence[LogReading]
 ) -> list[LogReading]:
-    """Likeliest interpretations, re-evaluated with the autocorrelation of the residuals."""
+    """Likeliest of the interpretations, evaluated again with autocorrelated residuals."""
     directions = [*DIRECTION_KINDS, "part of gravity"]
     others = [each for each in readings[1:] if each.kind not in directions]
     others.sort(key=lambda each: -each.log_posterior)

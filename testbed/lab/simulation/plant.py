@@ -306,15 +306,15 @@ def _configure(
     """Set integrator, gravity, friction and armature; add motors and joint sensors.
 
     The integrator is Runge-Kutta of fourth order, without contacts and torque limits. Dry and
-    viscous friction are zero where they are zero in the tree. Dry friction is Coulomb's down to
-    0.01 rad/s.
+    viscous friction are zero where they are zero in the tree. Dry friction is constant at speeds
+    above 0.01 rad/s.
 
     Args:
         spec: MuJoCo's editable model, modified.
         tree: The robot.
         step: Integration step [s].
         prefix: Prefix of the joints' names in `spec`.
-        changed: Names of joints whose friction and rotor inertia are the tree's.
+        changed: Names of joints whose friction and rotor inertia are taken from the tree.
     """
     option = spec.option
     option.timestep, option.gravity = step, tree.gravity

@@ -221,10 +221,11 @@ class ErrorRows:
 
     @cached_property
     def _rest_factors(self) -> list[tuple[int, Indices, Array, NDArray[np.bool_]]]:
-        """Cholesky factors of the noise covariance of rows near rests, by window and channel.
+        """Cholesky factors of the noise covariance of rows near standstills, by window and channel.
 
-        A row is used if its variance, given earlier rows, is below 1 + MAX_REST_VARIANCE, and the
-        fraction of its squared weights at rest is below MAX_REST_SHARE.
+        Near a standstill, dry friction is uncertain and adds to the noise. A row is used if its
+        variance, given earlier rows, is below 1 + MAX_REST_VARIANCE, and if the samples at
+        standstill have less than MAX_REST_SHARE of the row's squared filter weights.
 
         Returns:
             Channel, row indices, Cholesky factor, and mask of the rows in use, for each group of

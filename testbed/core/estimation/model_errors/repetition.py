@@ -91,7 +91,8 @@ def _motion_rows(
 ) -> tuple[MotionRows, float]:
     """Rows of a recording without gaps, and the rate of rows [Hz].
 
-    The rows are at most the first MAX_ROWS rows of `error_rows`, whitened for friction at rest.
+    The rows are at most the first MAX_ROWS rows of `error_rows`, whitened for the uncertain
+    dry friction near standstills.
     Residuals have zero mean in each channel.
 
     Args:

@@ -224,7 +224,8 @@ class Whitening:
     def _noise_block(self, noise: Array) -> Array:
         """Encoder noise of columns and residuals, in the layout of rows, (C, k, p + s + 2).
 
-        Sensor columns and row indicators have no noise.
+        The order is: p robot columns, s sensor columns, residual, row indicator. Sensor columns and
+        row indicators have no noise.
 
         Args:
             noise: Noise of the robot's columns and of the prediction, (C, k, p + 1).

@@ -97,7 +97,7 @@ class Surveyor:
     def add(
         self, signals: SignalWindow, first: int, count: int, analyse_noise: bool = True
     ) -> None:
-        """Add a subsample of a window, with its repeats and encoder noise.
+        """Add a subsample of a window, its repeated samples and its encoder noise.
 
         Args:
             signals: Signals of the window.
