@@ -129,9 +129,9 @@ def find_clock(
     """Find the time column of a table, with unit and sampling rate.
 
     Columns with a unit of time or a word of `TIME_WORDS` are tried in the order of these words. The
-    first column is taken in which more than half of the steps are positive, or in which stamps
-    repeat because the clock is coarse but lie on a line. A known layout replaces this choice by its
-    own columns or rate.
+    first column is taken that increases in more than half of its steps, or that contains repeated
+    stamps of a coarse clock along a line. A known layout replaces this choice by its own columns or
+    rate.
 
     Args:
         table: Table of a file of another program.

@@ -1,4 +1,4 @@
-r"""Symbolic names of parameters: symbols, sums and formulas, as text or LaTeX.
+r"""Standard and barycentric parameters: values, and symbolic names as text or LaTeX.
 
 Text      K*1yz = K1yz - l12z*mb*2y; stars mark redefined parameters
 LaTeX     K^{*1}_{yz} = K^{1}_{yz} - l^{12}_{z}\,m\!b^{*2}_{y}

@@ -259,8 +259,9 @@ def _improved_draft(
 ) -> MappingDraft:
     """Draft corrected by the assessment; the same object if no correction is needed.
 
-    If no `tare` is stated, the plate's zero or pedestal is solved first. Then the remedies are
-    applied; if there are no remedies, the unit or gains of torques are solved.
+    If no `tare` is stated, the plate's zero is corrected alone, or the pedestal is determined
+    first. Then the remedies are applied; without remedies, the unit or gains of torques are
+    determined.
     """
     codes, best = {each.code for each in assessment.errors}, assessment.best_explanation
     plate = draft.tables.get("wrench", {"tare": None})
