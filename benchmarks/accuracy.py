@@ -80,7 +80,7 @@ def remedies(
     them over that without. No estimate that is right on average has a smaller ratio.
     """
     tree = tb.load_tree(ROBOTS["puma"])
-    minimal = tb.minimal_set(tree, "reaction", zeros=True)
+    minimal = tb.minimal_set(tree, "wrench", zeros=True)
     truth = minimal.values(tb.barycentric(tree))
 
     def of_nine(errors: Array) -> float:

@@ -24,7 +24,7 @@ from benchmarks.random_recordings import recorded
 from benchmarks.rivals.idyntree import regressor
 from benchmarks.timing import least
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.estimate import METHODS, Method
+from testbed.core.parameters.rules import SIGNALS, Signal
 from testbed.core.recordings.recording import Recording
 from tests.helpers.paths import GOLDEN, ROOT
 
@@ -47,13 +47,13 @@ def _motion(recording: Recording) -> tuple[Array, Array, Array]:
     return q, qd, np.gradient(qd, 1 / recording.rate, axis=0)
 
 
-def _measured(recording: Recording, method: Method) -> Array:
-    return recording.measured("wrench" if method == "external" else "torque")
+def _measured(recording: Recording, method: Signal) -> Array:
+    return recording.measured("wrench" if method == "wrench" else "torque")
 
 
-def pinocchio_script(file: Path, recording: Recording, method: Method) -> Array:
+def pinocchio_script(file: Path, recording: Recording, method: Signal) -> Array:
     """Rows of every sample, filtered and decimated."""
-    root = (pin.JointModelFreeFlyer(),) if method == "external" else ()
+    root = (pin.JointModelFreeFlyer(),) if method == "wrench" else ()
     robot = pin.buildModelFromUrdf(str(file), *root)
     data, still, made = robot.createData(), np.zeros(6 if root else 0), []
     at = np.array([0, 0, 0, 0, 0, 0, 1.0] if root else [])
@@ -66,14 +66,14 @@ def pinocchio_script(file: Path, recording: Recording, method: Method) -> Array:
     return _least_squares(columns, wanted)
 
 
-def idyntree_script(file: Path, recording: Recording, method: Method) -> Array:
+def idyntree_script(file: Path, recording: Recording, method: Signal) -> Array:
     """Rows of every tenth sample of filtered signals."""
     loader, dynamics = idt.ModelLoader(), idt.KinDynComputations()
     loader.loadReducedModelFromFile(str(file), list(recording.names))
     dynamics.loadRobotModel(loader.model())
     dynamics.setFrameVelocityRepresentation(idt.BODY_FIXED_REPRESENTATION)
     q, qd, qdd = (each[::EVERY] for each in _motion(recording))
-    made = regressor(dynamics, q, qd, qdd, "wrench" if method == "external" else "torque")
+    made = regressor(dynamics, q, qd, qdd, "wrench" if method == "wrench" else "torque")
     wanted = _filtered(_measured(recording, method), recording.rate)[::EVERY]
     return _least_squares(made, wanted)
 
@@ -89,12 +89,12 @@ def answers(rounds: int) -> Iterator[dict[str, Any]]:
         tree = tb.load_tree(file)
         for seconds in SECONDS:
             recording = recorded(tree, "default", "white", seconds, 0)
-            for method in METHODS:
+            for method in SIGNALS:
                 yield _compared(name, file, tree, recording, method, rounds)
 
 
 def _compared(
-    name: str, file: Path, tree: tb.Tree, recording: Recording, method: Method, rounds: int
+    name: str, file: Path, tree: tb.Tree, recording: Recording, method: Signal, rounds: int
 ) -> dict[str, Any]:
     tasks: dict[str, Callable[[], object]] = {
         "testbed": partial(tb.identify, tree, recording, method, threads=1),

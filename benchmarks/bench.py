@@ -34,7 +34,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments.chain import Instrument
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import limits_of
+from testbed.motion.limits import joint_limits
 from tests.helpers.paths import ROOT
 
 ROBOTS = {"puma": "puma562", "ur5": "ur5", "panda": "panda", "gantry": "gantry", "tree": "tree"}
@@ -185,7 +185,7 @@ def happen(folder: Path, robot: str, seed: int) -> Happened:
     file = folder / f"truth/{robot}-{seed:02d}.urdf"
     file.write_text(urdf)
     tree = tb.load_tree(file)
-    limits = limits_of(tree, {joint.name: FAST[joint.kind] for joint in tree.joints})
+    limits = joint_limits(tree, {joint.name: FAST[joint.kind] for joint in tree.joints})
     path, other = (tb.random_motion(tree, limits, 0.1, 5, rng) for _ in range(2))
     plain = on_a_free_base(real)
     t = np.arange(round(RATE * SECONDS)) / RATE

@@ -13,7 +13,7 @@ import numpy as np
 import testbed as tb
 from benchmarks.random_recordings import PLATE, happened
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import Motion, linear
+from testbed.core.dynamics.newton_euler import Motion, linear_inverse_dynamics
 from testbed.core.parameters.minimal_set import MinimalSet
 
 EVERY = 10
@@ -58,7 +58,7 @@ def least(
     t, q, qd, qdd, wrench = (signal[part] for signal in signals)
     told = Told(tree, Motion(t, q, qd, qdd), wrench)
     lift = minimal.lift.reshape(tree.n, 10, -1)
-    columns = [linear(tree, told.motion, lift, tree.gravity)[1]]
+    columns = [linear_inverse_dynamics(tree, told.motion, lift, tree.gravity)[1]]
     columns += [COLUMNS[kind](told) for kind in nuisances]
     sigma = np.repeat([PLATE.force_noise, PLATE.moment_noise], 3)
     every = np.concatenate(columns, axis=2) / sigma[:, None]

@@ -57,7 +57,7 @@ def run_cost(seconds: float, runs: int) -> dict[str, Any]:
         pairs = zip(experiments, recordings, strict=True)
         done = [evaluate(each, recording, threads=1) for each, recording in pairs]
         end = time.process_time()
-    floors = [run.metrics["external_floor"] for run in done if "external_floor" in run.metrics]
+    floors = [run.metrics["wrench_floor"] for run in done if "wrench_floor" in run.metrics]
     return {
         "benchmark": "campaign run",
         "seconds": seconds,
@@ -78,7 +78,7 @@ def kills(who: str, moments: int, runs: int, seed: int) -> dict[str, Any]:
         file = place / "quick.toml"
         file.write_text(
             f'name = "quick"\nexperiment = "{ROOT / "experiments/table6.toml"}"\n'
-            f'set = {list(QUICK)}\nmethods = ["external"]\nreplicates = {runs}\n'
+            f'set = {list(QUICK)}\nmethods = ["wrench"]\nreplicates = {runs}\n'
         )
         begun = time.perf_counter()
         if _start(file, place / "whole").wait(PATIENCE) != 0:

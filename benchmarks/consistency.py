@@ -11,12 +11,13 @@ import typer
 import testbed as tb
 from benchmarks.lines import print_lines
 from testbed.bodies.consistency.consistent import consistent
-from testbed.bodies.prior import Prior, prior_of
+from testbed.bodies.prior import PriorBodies, prior_of
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import UnseenParameters
-from testbed.core.estimation.estimate import METHODS, Estimate
-from testbed.lab.experiment.evaluate import wrong_bodies
-from testbed.lab.experiment.score import relative_errors, root_mean_square
+from testbed.core.base.errors import UnidentifiableParameters
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.parameters.rules import SIGNALS
+from testbed.lab.experiment.evaluate import perturbed_robot
+from testbed.lab.experiment.score import finite_rms, relative_errors
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
@@ -37,7 +38,7 @@ def accuracy(durations: tuple[float, ...], seeds: range) -> Iterator[dict[str, A
             experiment = tb.Experiment.from_toml(ROOT / "experiments/table6.toml", overrides)
             tree, recording = tb.load_tree(experiment.model), tb.record(experiment)
             settings = experiment.identification
-            made = [tb.identify(tree, recording, m, settings=settings) for m in METHODS]
+            made = [tb.identify(tree, recording, m, settings=settings) for m in SIGNALS]
             for used in (made[:1], made[1:], made):
                 _add(errors, tree, used, _wrong_prior(tree, seed))
         yield {"what": "table6", "seconds": seconds, **_ratios(errors)}
@@ -48,20 +49,20 @@ def poor(seeds: range, speed: float) -> dict[str, Any]:
     tree, errors = tb.load_tree(ROOT / "models/puma562.xml"), Errors()
     for seed in seeds:
         recording = measured(tree, seed, duration=5.0, speed=speed)
-        for method in METHODS:
+        for method in SIGNALS:
             try:
                 estimate = tb.identify(tree, recording, method)
-            except UnseenParameters:
+            except UnidentifiableParameters:
                 continue
             _add(errors, tree, [estimate], _wrong_prior(tree, seed))
     return {"what": "PUMA, 5 s", "speed": speed, **_ratios(errors)}
 
 
-def _wrong_prior(tree: tb.Tree, seed: int) -> Prior:
-    return prior_of(wrong_bodies(tree, PRIOR, np.random.default_rng([seed, 17])))
+def _wrong_prior(tree: tb.Tree, seed: int) -> PriorBodies:
+    return prior_of(perturbed_robot(tree, PRIOR, np.random.default_rng([seed, 17])))
 
 
-def _add(errors: Errors, tree: tb.Tree, used: Sequence[Estimate], prior: Prior) -> None:
+def _add(errors: Errors, tree: tb.Tree, used: Sequence[Estimate], prior: PriorBodies) -> None:
     for estimate, own in zip(used, consistent(tree, used, prior).bent, strict=True):
         pair = _error(tree, estimate, estimate.values), _error(tree, estimate, own.values)
         errors.setdefault(f"{estimate.method} of {len(used)}", []).append(pair)
@@ -71,7 +72,7 @@ def _error(tree: tb.Tree, estimate: Estimate, values: Array) -> float:
     """Rms relative error of minimal parameters."""
     minimal = estimate.minimal
     truth = minimal.values(tb.barycentric(tree))
-    error = root_mean_square(relative_errors(values[: len(truth)], truth, minimal.units))
+    error = finite_rms(relative_errors(values[: len(truth)], truth, minimal.units))
     assert error is not None
     return float(error)
 
@@ -94,11 +95,11 @@ def trees(count: int, first: int = 0) -> dict[str, Any]:
         tree = random_robot(rng, int(rng.integers(3, 13))).tree()
         recording = measured(tree, seed, duration=10.0)
         try:
-            estimates = [tb.identify(tree, recording, method) for method in METHODS]
+            estimates = [tb.identify(tree, recording, method) for method in SIGNALS]
         except tb.TestbedError:
             continue
         made += 1
-        found = consistent(tree, estimates, prior_of(wrong_bodies(tree, PRIOR, rng)))
+        found = consistent(tree, estimates, prior_of(perturbed_robot(tree, PRIOR, rng)))
         solved += bool(found.unsettled < 1e-3 and (found.eigenvalues[:, 0] > 0).all())
         least = min(least, float((found.eigenvalues[:, 0] / found.eigenvalues[:, -1]).min()))
     return {

@@ -24,11 +24,11 @@ from benchmarks import random_recordings
 from benchmarks.lines import print_lines
 from benchmarks.random_recordings import NOISES, ROBOTS, SPEEDS, instrument
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.estimate import Method
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.views import on_its_base
-from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.free_root import on_free_base
+from testbed.core.recordings.views import adapt_to_robot
+from testbed.core.robot.force_sensor import ForceSensor, tree_beyond_sensor
+from testbed.core.robot.free_root import with_free_base
 from testbed.core.robot.model_file import ModelFile
 from testbed.sensors.sensor_error import SensorError
 from tests.helpers.humanoid import G1, humanoid
@@ -76,7 +76,7 @@ class Study:
     robot: str
     motion: str = "default"
     noise: str = "white"
-    method: Method = "external"
+    method: Signal = "wrench"
     faults: tuple[SensorError, ...] = ()
     right: str = ""
     goal: float = FALSE_ALARMS
@@ -93,10 +93,11 @@ class Study:
         if self.robot != "g1":
             return tb.load_tree(ROBOTS[self.robot])
         model = ModelFile(G1, weld_root=True)
-        free, tree = on_free_base(model.tree()), model.tree()
+        free, tree = with_free_base(model.tree()), model.tree()
         if self.kind != "hip in the air":
             return free
-        return beyond_sensor(free, model.links(), ForceSensor(tree.joints[tree.index(HIP)].body))
+        sensor = ForceSensor(tree.joints[tree.index(HIP)].body)
+        return tree_beyond_sensor(free, model.links(), sensor)
 
     def recorded(self, seed: int, seconds: float) -> Recording:
         """A recording of a motion of its own; the humanoid's are twice as long, at 50 Hz.
@@ -107,8 +108,8 @@ class Study:
         """
         if self.robot == "g1":
             joint = HIP if self.kind == "hip in the air" else ""
-            return on_its_base(humanoid(2 * seconds, 50.0, seed, 1.0, joint)[1], self.tree)
-        if self.method == "external":
+            return adapt_to_robot(humanoid(2 * seconds, 50.0, seed, 1.0, joint)[1], self.tree)
+        if self.method == "wrench":
             kind = (self.motion, self.noise, seconds)
             return random_recordings.recorded(self.tree, *kind, seed, self.faults)
         settings = [f"seed={seed}", f"motion.duration={seconds}"]
@@ -127,7 +128,7 @@ def studies() -> Iterator[Study]:
     for robot, motion, noise in product(SHOWN, SPEEDS, NOISES):
         yield Study("clean", robot, motion, noise)
     for motion in (*SPEEDS, "chosen"):
-        yield Study("torques", "puma", motion, method="internal")
+        yield Study("torques", "puma", motion, method="torque")
     for robot, noise in (("puma", "white"), ("puma", "ar .3 s"), ("ur5", "ar .3 s")):
         yield Study("coarse", robot, "slow", noise, faults=COARSE)
     yield from (Study(kind, "g1") for kind in ("squatting", "hip in the air"))
@@ -178,10 +179,10 @@ def seen(study: Study, seed: int, seconds: float) -> Seen:
     families = tuple(each.family for each in found.model_errors)
     causes = (families,) if families else ()
     errors = sum(each.level == "error" for each in found.diagnostics)
-    steps = found.noise is not None and found.noise.steps_matter
+    steps = found.noise is not None and found.noise.quantization_matters
     return Seen(
         found.names, (found.values - truth) / found.sigma, found.minimal.count, causes,
-        found.doubtful, steps, errors > 0,
+        found.has_errors, steps, errors > 0,
     )  # fmt: skip
 
 
@@ -222,7 +223,7 @@ def alarmed(alarms: int, runs: int) -> dict[str, Any]:
     return {"runs": runs, "alarms": _share(alarms / runs), "interval": held}
 
 
-def intervals(every: list[Seen], method: Method) -> dict[str, Any]:
+def intervals(every: list[Seen], method: Signal) -> dict[str, Any]:
     """Shares of 95 % intervals that hold the truth; the total mass apart."""
     z = np.abs([each.z for each in every])
     names, bodies = np.array(every[-1].names), every[-1].bodies
@@ -243,7 +244,7 @@ def intervals(every: list[Seen], method: Method) -> dict[str, Any]:
         "rms_z": _share(np.sqrt(np.mean(np.square(z)))),
         "largest_z, median and most": [_share(f(z.max(axis=1))) for f in (np.median, np.max)],
     }
-    if method == "internal":
+    if method == "torque":
         line |= {"bodies": _share(each[:bodies].mean()), "friction": _share(each[bodies:].mean())}
     return line
 

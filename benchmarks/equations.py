@@ -31,7 +31,7 @@ from tests.helpers.generated import python_module
 
 RIVALS: dict[str, dict[str, Any]] = {
     "joint-forces": {"OpenSYMORO": "319 * 266 +", "SymPyBotics": "503 * 401 +"},
-    "dynamic-regressor": {"OpenSYMORO": "1323 * 749 +"},
+    "torque-regressor": {"OpenSYMORO": "1323 * 749 +"},
     "process [s]": {"OpenSYMORO": "0.58-0.75", "SymPyBotics": "16-25"},
     "operations a joint, 31 joints": {"ROBOTRAN": 4310 / 31},
 }
@@ -42,7 +42,7 @@ def puma() -> dict[str, Any]:
     """Operations for the PUMA 560, and the time of a whole process that writes its regressor."""
     tree = load(robots()["puma6"])
     line: dict[str, Any] = {"bench": "equations of the PUMA 560, recursive, minimal set"}
-    for each in equations(tree, ["joint-forces", "dynamic-regressor"], "recursive").equations:
+    for each in equations(tree, ["joint-forces", "torque-regressor"], "recursive").equations:
         name = each.kind.name
         line[name] = {"testbed": _count(each), **RIVALS[name]}
     line["process [s]"] = {"testbed": round(_process(), 2), **RIVALS["process [s]"]}
@@ -83,14 +83,14 @@ def growth() -> dict[str, Any]:
 def speed(rounds: int) -> dict[str, Any]:
     """Generated NumPy code on 1e5 samples against Pinocchio's regressor in a loop."""
     case = next(case for case in cases() if case.name == "puma6")
-    kinds = ["dynamic-regressor", "reaction-regressor"]
+    kinds = ["torque-regressor", "wrench-regressor"]
     text = write_equations(equations(case.tree, kinds, "recursive"), "python")
     with tempfile.TemporaryDirectory() as folder:
         module = python_module(text, Path(folder))
     rng, samples = np.random.default_rng(0), 100_000
     q, qd, qdd = rng.uniform(-2, 2, (3, samples, case.tree.n))
     line: dict[str, Any] = {"bench": "generated Python against a Pinocchio loop, ratio"}
-    for model in ("dynamic", "reaction"):
+    for model in ("torque", "wrench"):
         function = getattr(module, f"{model}_regressor")
         tasks = {"loop": case.loop(model), "generated": partial(function, q, qd, qdd)}
         best = least(tasks, rounds)
@@ -122,7 +122,7 @@ def _process(rounds: int = 10) -> float:
     """Least time of `testbed equations` for the minimal regressor, from start to end."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "puma.urdf").write_text(robots()["puma6"])
-        words = ["equations", "puma.urdf", "--what", "dynamic-regressor", "--form", "recursive"]
+        words = ["equations", "puma.urdf", "--what", "torque-regressor", "--form", "recursive"]
         command = [sys.executable, "-m", "testbed", *words, "--out", "regressor.py", "--force"]
 
         def run() -> None:

@@ -19,9 +19,9 @@ from benchmarks.lines import print_lines
 from benchmarks.mistakes import OPEN, recorded
 from benchmarks.planted_recordings import ALL, KINDS, ROBOTS, Planted, cases
 from testbed.core.base.diagnostics import sentences
-from testbed.core.robot.gravity import gravity_of
-from testbed.importing.check.assessment import Assessment, assess
-from testbed.importing.check.remedies import Remedy, with_lines
+from testbed.core.robot.gravity import parse_gravity
+from testbed.importing.check.assessment import Assessment, assess_recording
+from testbed.importing.check.remedies import Remedy, mapping_with_lines
 
 ANGLE, SIGMAS = 3.0, 4.0
 """Error of gravity's direction that is good enough, the larger of both [deg, sigmas]."""
@@ -52,10 +52,10 @@ def judged(case: Planted) -> dict[str, Any]:
         case: The recording.
     """
     start = time.process_time()
-    found = assess(case.tree, recorded(case.real, case.told))
+    found = assess_recording(case.tree, recorded(case.real, case.told))
     spent = time.process_time() - start
     lines = [line for remedy in found.remedies for line in remedy.lines]
-    mapping = with_lines(case.told, lines)
+    mapping = mapping_with_lines(case.told, lines)
     mapping |= mapping.pop("", {})  # keys above all tables
     kinds = {each.kind for each in found.remedies}
     close, error, sigma = _gravity(case, mapping, found)
@@ -68,7 +68,8 @@ def judged(case: Planted) -> dict[str, Any]:
         "result": "silent" if close and not late and "delay" not in kinds
         else _result(case, found, close and late),
         "proposed": [_in_words(each) for each in found.remedies],
-        "first": next(iter(sentences(found.diagnostics[:1])), ""), "equals": list(found.equals),
+        "first": next(iter(sentences(found.diagnostics[:1])), ""),
+        "equals": list(found.equivalent_explanations),
         "gravity_deg": error, "sigma_deg": sigma,
         "accused": bool(kinds & {*GRAVITY}) if case.level else None,
         "currents": "gain" in case.told["torque"], "velocity": "velocity" in case.told,
@@ -79,14 +80,14 @@ def judged(case: Planted) -> dict[str, Any]:
 def _result(case: Planted, found: Assessment, close: bool) -> str:
     """One of `RESULTS`; `close`: whether the recording is the true one with what is proposed."""
     if not found.remedies:
-        return "right" if close and not found.certain else "silent"
+        return "right" if close and not found.errors else "silent"
     return "right" if close else "equal" if _among_equals(case, found) else "wrong"
 
 
 def _among_equals(case: Planted, found: Assessment) -> bool:
     """Whether the true cause is among what is said to explain as much as what is proposed."""
     text = " ".join(sentences(found.diagnostics))
-    text = " ".join([*found.equals, *(text.partition(word)[2] for word in OPEN)])
+    text = " ".join([*found.equivalent_explanations, *(text.partition(word)[2] for word in OPEN)])
     true = set() if case.level else {"gravity"}
     for table in (each for each in ALL if each in case.told):
         for key, word in WORDS.items():
@@ -103,7 +104,7 @@ def _gravity(
     case: Planted, mapping: dict[str, Any], found: Assessment
 ) -> tuple[bool, float | None, float | None]:
     """Whether gravity is the true one; error and sigma of its direction, if proposed [deg]."""
-    made = np.array(gravity_of(mapping.get("gravity", case.tree.gravity)), float)
+    made = np.array(parse_gravity(mapping.get("gravity", case.tree.gravity)), float)
     true = np.array(case.right["gravity"])
     close = bool(abs(np.linalg.norm(made) - np.linalg.norm(true)) < SIZE * 9.81)
     proposed = [each for each in found.remedies if each.kind == "gravity"]

@@ -19,7 +19,7 @@ from testbed.core.kernel.warm_up import warm_up
 from testbed.lab.experiment.excite import design_problem
 from testbed.motion.design import DesignProblem, criterion, design
 from testbed.motion.fourier import Fourier
-from testbed.motion.proof import prove, seems_to_hold
+from testbed.motion.proof import prove, respects_limits_at_samples
 from testbed.motion.random_motion import random_motion
 from tests.helpers.paths import GOLDEN, ROOT
 
@@ -70,7 +70,9 @@ def allowed(problem: DesignProblem, count: int) -> list[Fourier]:
     while len(found) < count:
         motion = random_motion(rules.tree, rules.limits, 0.1, 5, rng)
         smaller = (motion.scaled(float(share), motion.offset) for share in SHARES)
-        good = (m for m in smaller if seems_to_hold(m, rules) and prove(m, rules).holds)
+        good = (
+            m for m in smaller if respects_limits_at_samples(m, rules) and prove(m, rules).is_valid
+        )
         kept = next(good, None)
         found += [] if kept is None else [kept]
     return found

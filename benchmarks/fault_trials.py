@@ -10,8 +10,8 @@ import numpy as np
 
 import testbed as tb
 from testbed.core.base.arrays import AnyArray, Array
-from testbed.core.estimation.estimate import METHODS, Method
-from testbed.core.recordings.columns import AXES
+from testbed.core.parameters.rules import SIGNALS, Signal
+from testbed.core.recordings.columns import WRENCH_COMPONENTS
 from testbed.core.recordings.recording import Recording
 
 POUND = 4.4482216152605
@@ -28,7 +28,7 @@ class Trial:
 
     kind: str
     fault: str
-    method: Method
+    method: Signal
     change: Change
     tree: tb.Tree
 
@@ -36,10 +36,10 @@ class Trial:
 def trials(tree: tb.Tree) -> Iterator[Trial]:
     """All faults at every joint and channel where they can be."""
     for kind, fault, change in _of_the_plate():
-        yield Trial(kind, fault, "external", change, tree)
+        yield Trial(kind, fault, "wrench", change, tree)
     for kind, fault, change in _of_the_drives(tree.names):
-        yield Trial(kind, fault, "internal", change, tree)
-    for method in METHODS:
+        yield Trial(kind, fault, "torque", change, tree)
+    for method in SIGNALS:
         for kind, fault, change in _of_the_encoders(tree.names):
             yield Trial(kind, fault, method, change, tree)
         for kind, fault, change, other in _of_the_model(tree):
@@ -70,8 +70,8 @@ def _of_the_plate() -> Iterator[Told]:
     yield "unit", "wrench in lbf", _linear("wrench", eye / POUND)
     yield "unit", "wrench in kgf", _linear("wrench", eye / 9.80665)
     yield "unit", "moments in N mm", _linear("wrench", np.diag([1, 1, 1, 1e3, 1e3, 1e3]))
-    yield from _of_channels("wrench", AXES, "{}", 1.05)
-    for k, axis in enumerate(AXES):
+    yield from _of_channels("wrench", WRENCH_COMPONENTS, "{}", 1.05)
+    for k, axis in enumerate(WRENCH_COMPONENTS):
         size = 20.0 if k < 3 else 4.0
         yield "drift", f"{axis} drifts by {size:g}", _drift(size * eye[k])
     for late in (5, 20):

@@ -18,8 +18,9 @@ from benchmarks.fault_trials import Trial, trials
 from benchmarks.lines import print_lines
 from testbed.core.base.diagnostics import Diagnostic, sentences
 from testbed.core.base.errors import TestbedError
-from testbed.core.estimation.diagnostics.torques import cross_check
-from testbed.core.estimation.estimate import METHODS, Estimate, Method
+from testbed.core.estimation.diagnostics.torques import torque_scale_diagnostics
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.parameters.rules import SIGNALS, Signal
 from testbed.core.recordings.recording import Recording
 from tests.helpers.paths import ROOT
 
@@ -57,12 +58,12 @@ def results(seconds: float) -> Iterator[dict[str, Any]]:
     """Every trial: the worst error, in sigmas too, and what is said about it."""
     tree = tb.load_tree(MODEL)
     recording = recorded(seconds)
-    told = {m: tb.identify(tree, recording, m, zeros=True) for m in METHODS}
-    yield from (_line(None, tree, m, told) for m in METHODS)
+    told = {m: tb.identify(tree, recording, m, zeros=True) for m in SIGNALS}
+    yield from (_line(None, tree, m, told) for m in SIGNALS)
     for trial in trials(tree):
         changed = trial.change(recording)
         try:
-            both = {m: tb.identify(trial.tree, changed, m, zeros=True) for m in METHODS}
+            both = {m: tb.identify(trial.tree, changed, m, zeros=True) for m in SIGNALS}
         except TestbedError as error:
             said = {"fault": trial.fault, "method": trial.method, "refused": str(error)}
             yield {"kind": trial.kind, **said}
@@ -107,7 +108,7 @@ def recorded(seconds: float) -> Recording:
 
 
 def _line(
-    trial: Trial | None, tree: tb.Tree, method: Method, both: Mapping[Method, Estimate]
+    trial: Trial | None, tree: tb.Tree, method: Signal, both: Mapping[Signal, Estimate]
 ) -> dict[str, Any]:
     estimate = both[method]
     theta, drives = tb.barycentric(tree), estimate.drives
@@ -136,7 +137,7 @@ def _named(codes: str, said: Sequence[Diagnostic], families: Sequence[str]) -> b
     return any(known & {each.code, *each.causes[:NAMED], *families} for each in said)
 
 
-def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[Diagnostic]:
+def _said(estimate: Estimate, both: Mapping[Signal, Estimate]) -> list[Diagnostic]:
     """What is found in one method's data, and by comparing both methods."""
     found = [
         each
@@ -144,7 +145,7 @@ def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[Diagnosti
         if each.level == "error" or each.code in OF_NOISE or each.code.startswith("model-error")
     ]
     if len(both) == 2:
-        found += cross_check(both["external"], both["internal"])
+        found += torque_scale_diagnostics(both["wrench"], both["torque"])
     return found
 
 

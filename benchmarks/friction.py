@@ -17,21 +17,24 @@ import typer
 import testbed as tb
 from benchmarks.lines import print_lines
 from testbed.applications.drives.friction_curves import (
-    Choice,
     DriveEstimate,
+    JointTermChoice,
     chosen_terms,
-    drive_of,
+    drive_estimate,
     offered,
-    picked_terms,
+    term_selection_matrices,
 )
-from testbed.applications.drives.joint_regression import regressions, torques_beside
+from testbed.applications.drives.joint_regression import (
+    fit_joint_regressions,
+    torque_regression_data,
+)
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.friction import COULOMB, LOADED, VISCOUS, stribeck
+from testbed.core.robot.friction import COULOMB, LOAD_LAWS, VISCOUS, stribeck_law
 from testbed.core.robot.joint_law import JointLaw
 from testbed.lab.experiment.rig import robot_of
-from testbed.lab.instruments.chain import measured_again
+from testbed.lab.instruments.chain import remeasured
 from tests.helpers.paths import ROOT
 
 LOSSES = (0.0, 0.05, 0.1, 0.2)
@@ -40,7 +43,7 @@ LOSSES = (0.0, 0.05, 0.1, 0.2)
 STATIC, FADES = 1.3, 0.3
 """Dry friction at rest over that in motion, and the speed at which it fades out [rad/s]."""
 
-GIVEN: tuple[JointLaw, ...] = (COULOMB, VISCOUS, stribeck(FADES), LOADED[0])
+GIVEN: tuple[JointLaw, ...] = (COULOMB, VISCOUS, stribeck_law(FADES), LOAD_LAWS[0])
 """The terms of the plant."""
 
 OFF, NOISE = 0.05, 0.005
@@ -72,17 +75,17 @@ def trial(loss: float, seconds: float, seed: int) -> dict[str, Any]:
         torque_constant_error=dict(zip(tree.names, (constants - 1).tolist(), strict=True)),
         fault=(tb.TorqueNoise(sigma=tuple(noise.tolist())),),
     )
-    seen = measured_again(recording, instrument, seed)
+    seen = remeasured(recording, instrument, seed)
     plain = replace(asked.identification, terms=("coulomb", "viscous"))
     bodies = tb.identify(tree, seen, settings=plain, threads=1)
-    problem = Problem.of(tree, seen, "internal", plain, threads=1, knows_load=True)
-    torques = torques_beside(problem, bodies, offered(plain.laws, seen.signals))
+    problem = Problem.from_recording(tree, seen, "torque", plain, threads=1, knows_load=True)
+    torques = torque_regression_data(problem, bodies, offered(plain.laws, seen.signals))
 
-    def drives_of(choices: Mapping[int, Choice]) -> list[DriveEstimate]:
-        found = regressions(torques, bodies, picked_terms(torques, choices))
-        return [drive_of(tree, torques, each) for each in found]
+    def drives_of(choices: Mapping[int, JointTermChoice]) -> list[DriveEstimate]:
+        found = fit_joint_regressions(torques, bodies, term_selection_matrices(torques, choices))
+        return [drive_estimate(tree, torques, each) for each in found]
 
-    given = drives_of(dict.fromkeys(torques.joints, Choice(GIVEN, (), None)))
+    given = drives_of(dict.fromkeys(torques.joints, JointTermChoice(GIVEN, (), None)))
     chosen = drives_of(chosen_terms(tree, torques, bodies))
     dry = COULOMB.coefficients(tree)
     rows = [constants, dry, VISCOUS.coefficients(tree), (STATIC - 1) * dry, np.full(tree.n, loss)]
@@ -91,7 +94,7 @@ def trial(loss: float, seconds: float, seed: int) -> dict[str, Any]:
     return {
         "error": np.array(found) - np.array(rows).T,
         "sigma": np.array(sigma),
-        "load": any(term.law in LOADED for each in chosen for term in each.terms),
+        "load": any(term.law in LOAD_LAWS for each in chosen for term in each.terms),
     }
 
 

@@ -17,8 +17,7 @@ import testbed as tb
 from benchmarks.lines import print_lines
 from benchmarks.regressor import MODELS, Case, cases, stack
 from benchmarks.timing import forget_peak, least, peak_rss
-from testbed.core.estimation.estimate import Method
-from testbed.core.parameters.rules import Model
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource
@@ -56,12 +55,12 @@ class Endless(DerivedSource):
         )
 
 
-def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
+def answer(case: Case, model: Signal, rounds: int) -> dict[str, Any]:
     """`identify` on sensed kinematics, unfiltered, against loop and lstsq."""
     minimal = tb.minimal_set(case.tree, model)
     samples = REPEATS[case.name] * case.recording.samples  # enough to forget what starting costs
     recording = Endless(case.recording, samples).part(0, samples)
-    method: Method = "internal" if model == "dynamic" else "external"
+    method: Signal = "torque" if model == "torque" else "wrench"
     a, b = stack(case, minimal)
     answers: dict[str, Callable[[], object]] = {
         f"answer_{threads}": partial(
@@ -76,7 +75,7 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
         "answer": answers["answer_1"],
     }
     best = least(tasks, rounds)
-    rows = len(b) // (case.tree.n if model == "dynamic" else 6)
+    rows = len(b) // (case.tree.n if model == "torque" else 6)
     counts = {"loop": LOOP[case.name], "lstsq": rows, "answer": samples}
     ns = {name: 1e9 * t / counts[name] for name, t in best.items()}
     return {
@@ -105,7 +104,7 @@ def stored(case: Case, gigabytes: float) -> dict[str, Any]:
         size = path.stat().st_size
         forget_peak()
         start = time.perf_counter()
-        tb.identify(case.tree, path, "external")
+        tb.identify(case.tree, path, "wrench")
         seconds = time.perf_counter() - start
     return {
         "benchmark": "stored",

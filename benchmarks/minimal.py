@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from benchmarks.lines import print_lines
-from testbed.core.dynamics.rank_check import verify, verify_drives
+from testbed.core.dynamics.rank_check import verify_drive_set, verify_minimal_set
 from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import parameter_names
-from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.free_root import on_free_base
-from testbed.core.robot.friction import LAWS
+from testbed.core.robot.force_sensor import ForceSensor, tree_beyond_sensor
+from testbed.core.robot.free_root import with_free_base
+from testbed.core.robot.friction import JOINT_LAWS
 from testbed.core.robot.model_file import ModelFile, mimic_joints
 from testbed.core.robot.tree import Tree
 from tests.helpers.paths import REAL
@@ -41,7 +41,7 @@ def scaling() -> dict[str, Any]:
         runs = []
         for _ in range(RUNS):
             start = time.perf_counter()
-            for each in (tb.minimal_set(tree, "dynamic"), tb.minimal_set(tree, "reaction")):
+            for each in (tb.minimal_set(tree, "torque"), tb.minimal_set(tree, "wrench")):
                 assert each.formulas
             runs.append(time.perf_counter() - start)
         times.append(min(runs))
@@ -99,9 +99,9 @@ def force_sensors() -> dict[str, Any]:
         for joint in tree.joints:
             place, turn = rng.uniform(-0.3, 0.3, 3), Rotation.random(rng=rng).as_matrix()
             sensor = ForceSensor(joint.body, place, turn)
-            for base, tared in product((tree, on_free_base(tree)), (False, True)):
-                cut = beyond_sensor(base, links, sensor)
-                minimal = tb.minimal_set(cut, "reaction", tared=tared)
+            for base, tared in product((tree, with_free_base(tree)), (False, True)):
+                cut = tree_beyond_sensor(base, links, sensor)
+                minimal = tb.minimal_set(cut, "wrench", tared=tared)
                 tally.compare(f"{name}, {joint.name}", cut, minimal)
     said = tally.said(f"force sensors in {read} robots")
     return said | {"benchmark": "cuts", "robots": read}
@@ -119,23 +119,23 @@ class Tally:
         self, name: str, tree: Tree, gravity: ArrayLike, zeros: bool | Sequence[str]
     ) -> None:
         """Both models, the tared plate, S between them, and the drives."""
-        dynamic = tb.minimal_set(tree, "dynamic", gravity, zeros)
-        plates = [tb.minimal_set(tree, "reaction", gravity, zeros, tared=t) for t in (False, True)]
+        dynamic = tb.minimal_set(tree, "torque", gravity, zeros)
+        plates = [tb.minimal_set(tree, "wrench", gravity, zeros, tared=t) for t in (False, True)]
         for plate in plates:
             s = tb.selection(dynamic, plate)
             self.count(f"{name}: S", s.shape == (dynamic.count, plate.count))
         for minimal in (dynamic, *plates):
             self.compare(name, tree, minimal)
-        for laws in (("rotor",), LAWS):
-            drives = verify_drives(tree, with_joint_terms(tree, dynamic, laws))
-            self.count(f"{name}: {drives}", drives.holds)
+        for laws in (("rotor",), JOINT_LAWS):
+            drives = verify_drive_set(tree, with_joint_terms(tree, dynamic, laws))
+            self.count(f"{name}: {drives}", drives.agrees)
             self.largest("drives_change", drives.change)
 
     def compare(self, name: str, tree: Tree, minimal: MinimalSet) -> None:
         """One set by all witnesses."""
-        found = verify(tree, minimal)
+        found = verify_minimal_set(tree, minimal)
         alone = not minimal.lift[minimal.known_zero.ravel()].any()
-        self.count(f"{name}: {found}", found.holds and alone)
+        self.count(f"{name}: {found}", found.agrees and alone)
         for field_name in ("recursion_distance", "sampled_distance", "change", "inverse"):
             self.largest(field_name, getattr(found, field_name))
 

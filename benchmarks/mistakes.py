@@ -18,13 +18,13 @@ from benchmarks.judged_mappings import MARKS
 from benchmarks.lines import print_lines
 from testbed.core.base.diagnostics import sentences
 from testbed.core.recordings.metadata import Metadata
-from testbed.importing.check.assessment import assess
-from testbed.importing.check.remedies import with_lines
-from testbed.importing.convert import pieces
-from testbed.importing.encoder_steps import without_turns
-from testbed.importing.foreign_table import KINDS
+from testbed.importing.check.assessment import assess_recording
+from testbed.importing.check.remedies import mapping_with_lines
+from testbed.importing.convert import import_recordings
+from testbed.importing.encoder_steps import unwrapped_positions
+from testbed.importing.foreign_table import JOINT_QUANTITIES
 from testbed.importing.mapping import SignalTable
-from testbed.importing.signal_maps import EFFORTS, joint_signal
+from testbed.importing.signal_maps import EFFORT_OF_UNIT, joint_signal
 from tests.helpers.paths import ROOT
 
 OPEN = ("equally explained", "do not decide", "not distinguish", *MARKS)
@@ -37,7 +37,7 @@ def tx40() -> Iterator[dict[str, Any]]:
     """Each mistake planted in the real recording, and what the check makes of it."""
     folder = ROOT / "examples/tx40"
     tree = tb.load_tree(folder / "tx40.urdf")
-    (pieced,), _ = pieces(folder / "tx40.toml")
+    (pieced,), _ = import_recordings(folder / "tx40.toml")
     real = pieced.part(0, pieced.samples).ordered(tree)
     right = mapping_of(tree, real)
     yield _held_against(tree, real, "as given", right, right)
@@ -82,9 +82,9 @@ def _held_against(
     tree: tb.Tree, real: tb.Recording, words: str, right: dict[str, Any], wrong: dict[str, Any]
 ) -> dict[str, Any]:
     """What the check says first, and whether the recording is right with what it proposes."""
-    found = assess(tree, recorded(real, wrong))
+    found = assess_recording(tree, recorded(real, wrong))
     lines = [line for remedy in found.remedies for line in remedy.lines]
-    one, other = (recorded(real, each) for each in (right, with_lines(wrong, lines)))
+    one, other = (recorded(real, each) for each in (right, mapping_with_lines(wrong, lines)))
     rest = np.asarray(other.position) - np.asarray(one.position)
     zero = (rest.mean(axis=0) + np.pi) % (2 * np.pi) - np.pi
     zero[[0, -1]] = 0  # no data tell
@@ -96,7 +96,7 @@ def _held_against(
     told_open = any(word in text for word in OPEN)
     result = "right" if same else "open" if told_open else "wrong" if lines else "no word"
     return {
-        "tx40": words, "result": result, "certain": bool(found.certain),
+        "tx40": words, "result": result, "certain": bool(found.errors),
         "said": [each.kind + " " + ", ".join(each.joints) for each in found.remedies],
         "undecided": [d.text for d in found.diagnostics if d.level != "error"],
     }  # fmt: skip
@@ -105,13 +105,13 @@ def _held_against(
 def recorded(real: tb.Recording, mapping: dict[str, Any]) -> tb.Recording:
     """The recording that a mapping makes of a file's columns."""
     signals: dict[str, Any] = {}
-    for kind in (each for each in KINDS if each in mapping):
+    for kind in (each for each in JOINT_QUANTITIES if each in mapping):
         values = real.measured(kind)[:, [int(column) for column in mapping[kind]["columns"]]]
         table = SignalTable(**mapping[kind])
         if kind == "position":  # as an import does
-            values, _ = without_turns(table, real.names, real.time, values)
+            values, _ = unwrapped_positions(table, real.names, real.time, values)
         signals[kind] = joint_signal(kind, table, None, values)
-    currents = EFFORTS.get(mapping["torque"]["unit"][0], "torque")
+    currents = EFFORT_OF_UNIT.get(mapping["torque"]["unit"][0], "torque")
     metadata = Metadata(mapping=mapping, effort=dict.fromkeys(real.names, currents))
     return tb.Recording(real.names, real.time, **signals, metadata=metadata)
 

@@ -12,8 +12,8 @@ from testbed.lab.experiment.carry_out import carry_out
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.results import read_run, write_run
 from testbed.view.run_page import write_report
-from testbed.view.viewer.log import write_rrd
-from testbed.view.viewer.scene import scene_of
+from testbed.view.viewer.log import write_runs_rrd
+from testbed.view.viewer.scene import build_scene
 
 
 def pictures(rounds: int = 3) -> dict[str, Any]:
@@ -23,11 +23,11 @@ def pictures(rounds: int = 3) -> dict[str, Any]:
         place, rrd, page = (Path(folder) / name for name in ("run", "run.rrd", "run.html"))
         write_run(carry_out(experiment), place)
         run = read_run(place)
-        scene = scene_of(run)
+        scene = build_scene(run)
         seconds = least(
             {
-                "rrd": lambda: write_rrd([scene], rrd),
-                "scene and rrd": lambda: write_rrd([scene_of(run)], rrd),
+                "rrd": lambda: write_runs_rrd([scene], rrd),
+                "scene and rrd": lambda: write_runs_rrd([build_scene(run)], rrd),
                 "report": lambda: write_report(run, page),
             },
             rounds,

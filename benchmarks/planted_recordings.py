@@ -28,7 +28,7 @@ from benchmarks.inverse_recordings import ENCODER, inverse, on_a_free_base, real
 from benchmarks.mistakes import mapping_of
 from testbed.core.base.arrays import Array
 from testbed.core.robot.model_file import ModelFile
-from testbed.importing.convert import pieces
+from testbed.importing.convert import import_recordings
 from tests.helpers.paths import GOLDEN, REAL
 
 ROBOTS: Mapping[str, tuple[Path, str]] = {
@@ -340,7 +340,7 @@ LARGEST = 4
 def _recorded(name: str, which: int) -> tuple[tb.Tree, tb.Recording]:
     """A real robot by its file, joints at rest held, and a recording of it."""
     path, mappings = real.ROBOTS[name]
-    (piece, *_), _ = pieces(mappings[which])
+    (piece, *_), _ = import_recordings(mappings[which])
     file, motion, _ = tb.hold_still(ModelFile(path), piece)
     tree = file.tree()
     return tree, motion.part(0, motion.samples).ordered(tree)

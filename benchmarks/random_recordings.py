@@ -13,10 +13,10 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.metadata import NO_METADATA
 from testbed.core.recordings.recording import Recording, Truth
-from testbed.lab.experiment.motions import motion_of
+from testbed.lab.experiment.motions import experiment_motion
 from testbed.lab.instruments.chain import Instrument, measure
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import limits_of
+from testbed.motion.limits import joint_limits
 from testbed.motion.random_motion import random_motion
 from testbed.sensors.sensor_error import SensorError
 from tests.helpers.paths import GOLDEN, ROOT
@@ -84,14 +84,14 @@ def _series(tree: tb.Tree, motion: str, seed: int) -> Fourier:
     if motion == "chosen":
         return _chosen(seed)
     speed = SPEEDS[motion]
-    limits = limits_of(tree, {} if speed is None else dict.fromkeys(tree.names, speed), {})
+    limits = joint_limits(tree, {} if speed is None else dict.fromkeys(tree.names, speed), {})
     return random_motion(tree, limits, 0.1, 5, np.random.default_rng(seed))
 
 
 @lru_cache(maxsize=1)
 def _chosen(seed: int) -> Fourier:
     table6 = tb.Experiment.from_toml(ROOT / "experiments/table6.toml", [f"seed={seed}"])
-    return motion_of(table6, tb.load_tree(ROBOTS["puma"]))
+    return experiment_motion(table6, tb.load_tree(ROBOTS["puma"]))
 
 
 def recorded(

@@ -20,18 +20,19 @@ from benchmarks.rivals.script import model_of, script
 from testbed.applications.analysis import analyse
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.posterior import reported_estimate
-from testbed.bodies.prediction_errors import predictions_of
+from testbed.bodies.prediction_errors import fitted_predictions
 from testbed.bodies.prior import prior_of
-from testbed.bodies.row_products import products_of
+from testbed.bodies.row_products import row_parts
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.estimate import SIGNAL_OF, Method, channel_units
-from testbed.core.estimation.model_errors.model_errors import WithoutModelErrors
+from testbed.core.estimation.estimate import channel_units
+from testbed.core.estimation.model_errors.model_errors import ModelErrorFreeSource
 from testbed.core.estimation.problem import Problem
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.source import Source
-from testbed.core.recordings.views import with_gear
+from testbed.core.recordings.views import with_gear_shafts
 from testbed.core.robot.model_file import ModelFile
-from testbed.core.robot.shafts import shares
-from testbed.importing.convert import pieces
+from testbed.core.robot.shafts import transmission_matrix
+from testbed.importing.convert import import_recordings
 from testbed.sensors.corrected import corrected
 from tests.helpers.paths import REAL, ROOT
 
@@ -63,7 +64,7 @@ def splits(
     model: Path, mappings: tuple[Path, ...]
 ) -> Iterator[tuple[str, tuple[ModelFile, Source, Source]]]:
     """What is seen in words, robot, seen and unseen samples; joints at rest are held."""
-    held = [tb.hold_still(ModelFile(model), pieces(path)[0][0]) for path in mappings]
+    held = [tb.hold_still(ModelFile(model), import_recordings(path)[0][0]) for path in mappings]
     file, motion, _ = held[0]
     count = motion.samples
     for share in (0.4, 0.6, 0.75):
@@ -77,33 +78,33 @@ def splits(
 
 def errors(file: ModelFile, seen: Source, unseen: Source) -> tuple[float, Array]:
     """How many unseen rows there are, and the mean squares left of them, (columns,)."""
-    method: Method = "external" if "wrench" in seen.signals else "internal"
+    method: Signal = "wrench" if "wrench" in seen.signals else "torque"
     tree = file.tree()
-    bodies = prior_of(with_gear(tree, seen)), ConsistencyOptions()
+    bodies = prior_of(with_gear_shafts(tree, seen)), ConsistencyOptions()
     found = analyse(tree, seen, methods=[method], bodies=bodies)
     answer = reported_estimate(found.estimates.get(method), found.posterior[method])
     estimate, settings = answer.estimate, answer.estimate.settings
-    if method == "internal":
+    if method == "torque":
         settings = replace(settings, terms=tuple(dict.fromkeys([*settings.words, *TERMS])))
-    problem = Problem.of(tree, unseen, method, settings)
+    problem = Problem.from_recording(tree, unseen, method, settings)
     place = np.array([[name == other for name in estimate.names] for other in problem.names])
     models = {**answer.models, "default": estimate.values}
     values = {name: place @ each for name, each in models.items()} | scripts(file, seen, problem)
     source = corrected(problem.source, problem.tree, estimate.sensor_errors)
-    rows = products_of(problem, source, method == "external", whole=True).whole
+    rows = row_parts(problem, source, method == "wrench", whole=True).total
     counted = np.array(channel_units(problem.tree, method)) == "N m"
-    predictions = predictions_of(rows, values)
+    predictions = fitted_predictions(rows, values)
     squares = [
-        rows.squares(*predictions[name])[counted].sum() if name in values else np.nan
+        rows.residual_squares(*predictions[name])[counted].sum() if name in values else np.nan
         for name in COLUMNS
     ]
     without = source
     if estimate.correction is not None:
-        own = Problem.of(tree, unseen, method, estimate.settings)
-        without = WithoutModelErrors(own, source, estimate.values, estimate.correction)
+        own = Problem.from_recording(tree, unseen, method, estimate.settings)
+        without = ModelErrorFreeSource(own, source, estimate.values, estimate.correction)
         print("  ", ", ".join(estimate.correction.families))
-    left = products_of(problem, without, method == "external", whole=True).whole
-    named = left.squares(*predictions_of(left, values)["default"])[counted].sum()
+    left = row_parts(problem, without, method == "wrench", whole=True).total
+    named = left.residual_squares(*fitted_predictions(left, values)["default"])[counted].sum()
     squares[COLUMNS.index("model errors")] = named
     count = float(rows.rows[counted].sum())
     return count, np.array(squares) / count
@@ -114,10 +115,11 @@ def scripts(file: ModelFile, seen: Source, problem: Problem) -> dict[str, Array]
     tree, minimal, drives = problem.tree, problem.minimal, problem.drives
     part = seen.part(0, seen.samples)
     order = [part.names.index(name) for name in tree.names]
-    measured = part.measured(SIGNAL_OF[problem.method])
+    measured = part.measured(problem.method)
     model = model_of(file.path, tree.names, file.lock, free=drives is None)
     signals = part.time, part.position[:, order], measured if drives is None else measured[:, order]
-    turns, rotors = (None if drives is None else shares(tree)), "rotor" in problem.settings.words
+    turns = None if drives is None else transmission_matrix(tree)
+    rotors = "rotor" in problem.settings.words
     values = {}
     for name, (bodies, own) in script(model, tree.names, signals, turns, rotors).items():
         values[name] = np.zeros(len(problem.names))

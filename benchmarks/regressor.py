@@ -16,9 +16,9 @@ from benchmarks.lines import print_lines
 from benchmarks.timing import least, peak_flops, peak_rss
 from testbed.core.base.arrays import Array
 from testbed.core.kernel import numba_engine
-from testbed.core.kernel.layout import Layout, layout
-from testbed.core.kernel.records import Signals
-from testbed.core.parameters.rules import Model
+from testbed.core.kernel.layout import Layout, make_layout
+from testbed.core.kernel.records import SignalWindow
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.recording import Recording
 
 SAMPLES = 16_384
@@ -26,7 +26,7 @@ SAMPLES = 16_384
 LOOP = 300
 """Samples of a Pinocchio loop: the same each, so that few are enough."""
 
-MODELS: tuple[Model, ...] = "dynamic", "reaction"
+MODELS: tuple[Signal, ...] = "torque", "wrench"
 
 STACK = {"arm3": 4000, "puma6": 4000, "tree30": 900}
 """Samples of an lstsq problem."""
@@ -44,25 +44,25 @@ class Case:
     urdf: str
     recording: Recording
 
-    def signals(self, found: Layout) -> Signals:
+    def signals(self, found: Layout) -> SignalWindow:
         """All samples, unfiltered, their kinematics sensed."""
         r = self.recording
         assert r.velocity is not None
         assert r.acceleration is not None
         unit = np.array([[1.0], [0.0], [0.0]])
-        measured = r.measured("torque") if found.model == "dynamic" else r.measured("wrench")
+        measured = r.measured("torque") if found.model == "torque" else r.measured("wrench")
         moving = r.position, r.velocity, r.acceleration
-        return Signals(*moving, measured, unit, np.ones(1), 0.0, 0, 0, 1, r.samples)
+        return SignalWindow(*moving, measured, unit, np.ones(1), 0.0, 0, 0, 1, r.samples)
 
-    def loop(self, model: Model, samples: int = LOOP) -> Any:
+    def loop(self, model: Signal, samples: int = LOOP) -> Any:
         """`computeJointTorqueRegressor` sample by sample, copied into one new array."""
         n, r = self.tree.n, self.recording
         assert r.velocity is not None
         assert r.acceleration is not None
-        floating = (pin.JointModelFreeFlyer(),) if model == "reaction" else ()
+        floating = (pin.JointModelFreeFlyer(),) if model == "wrench" else ()
         robot = pin.buildModelFromXML(self.urdf, *floating)
         data, regressor = robot.createData(), pin.computeJointTorqueRegressor
-        if model == "dynamic":
+        if model == "torque":
             q, qd, qdd = r.position, r.velocity, r.acceleration
             shape = (samples, n, 10 * n)
         else:
@@ -100,7 +100,7 @@ def operations(found: Layout) -> tuple[float, float]:
     own = rows.source == rows.target
     links = np.repeat(np.arange(len(robot.place)), np.diff(rows.first))
     inclined = ~robot.square[links] & ~rows.force & ~own
-    count = LINK * len(robot.place) + SINE * np.sum(~robot.slides)
+    count = LINK * len(robot.place) + SINE * np.sum(~robot.prismatic)
     count += HERE * own.sum() + PUSH * np.sum(rows.force & ~own)
     count += CARRY * np.sum(~rows.force & ~own) + INCLINED * inclined.sum()
     return float(count), float(np.sum(rows.group_size * (rows.group_size + 1)) / 2)
@@ -109,21 +109,21 @@ def operations(found: Layout) -> tuple[float, float]:
 def stack(case: Case, minimal: tb.MinimalSet) -> tuple[Array, Array]:
     """A dense problem for lstsq, as users set it up, ready in memory."""
     rng, samples = np.random.default_rng(1), STACK[case.name]
-    rows = samples * (case.tree.n if minimal.model == "dynamic" else 6)
+    rows = samples * (case.tree.n if minimal.model == "torque" else 6)
     return rng.normal(size=(rows, minimal.count)), rng.normal(size=rows)
 
 
-def compare(case: Case, model: Model, rounds: int) -> dict[str, Any]:
+def compare(case: Case, model: Signal, rounds: int) -> dict[str, Any]:
     """Kernel, fused pass and both passes against loop and lstsq, one core each."""
     minimal = tb.minimal_set(case.tree, model)
-    found = layout(case.tree, minimal)
+    found = make_layout(case.tree, minimal)
     signals = case.signals(found)
     work = numba_engine.workspace(found, signals)
     a, b = stack(case, minimal)
     tasks = {
         "loop": case.loop(model),
-        "kernel": lambda: numba_engine.fill_only(found, signals, work),
-        "fused": lambda: numba_engine.sweep(found, signals, work),
+        "kernel": lambda: numba_engine.fill_rows(found, signals, work),
+        "fused": lambda: numba_engine.row_products(found, signals, work),
     }
     best = least(tasks, rounds)
     best |= least({"lstsq": lambda: np.linalg.lstsq(a, b, rcond=None)}, max(3, rounds // 8))

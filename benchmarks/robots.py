@@ -105,7 +105,7 @@ def _run(path: Path, seconds: float) -> dict[str, Any]:
                 found = {"came": "no robot" if none else f"{words[0]} refused", "why": why}
                 break
             if words[0] == "run":
-                found["max_z"] = json.loads(done.stdout)["score"]["metrics"].get("external_max_z")
+                found["max_z"] = json.loads(done.stdout)["score"]["metrics"].get("wrench_max_z")
                 if not 0 < (found["max_z"] or 0.0) < MOST_SIGMAS:
                     found["came"] = "wrong"
     after = os.times()

@@ -20,19 +20,19 @@ from benchmarks.bench import FAST, RATE, Case, Happened, make, measured, simulat
 from benchmarks.rivals.case import read
 from benchmarks.rivals.compare import FIRST, PAGE
 from docs.marks import table, write
-from testbed.core.estimation.estimate import Method
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.recording import Recording
-from testbed.lab.simulation.replay import replay
-from testbed.motion.limits import limits_of
+from testbed.lab.simulation.replay import replay_errors
+from testbed.motion.limits import joint_limits
 from tests.helpers.paths import ROOT
 
 MODULE, ROBOT = "benchmarks rollout", "puma"
 UNSEEN = 4.0
 """Of the unseen motion [s]; two of them are driven."""
 
-METHODS: Mapping[str, tuple[Method, ...]] = {
-    "torque": ("internal",),
-    "wrench": ("internal", "external"),
+METHODS: Mapping[str, tuple[Signal, ...]] = {
+    "torque": ("torque",),
+    "wrench": ("torque", "wrench"),
 }
 """testbed's, by the signal that mujoco.sysid has beside torques and positions."""
 
@@ -92,7 +92,7 @@ def _driven(
 def _unseen(case: Case, real: Path, seed: int) -> Recording:
     """Another motion of the real robot, with the noise of the case."""
     tree, rng = tb.load_tree(real), np.random.default_rng([seed, 11])
-    limits = limits_of(tree, {joint.name: FAST[joint.kind] for joint in tree.joints})
+    limits = joint_limits(tree, {joint.name: FAST[joint.kind] for joint in tree.joints})
     made = simulated(real, tb.random_motion(tree, limits, 0.1, 5, rng), UNSEEN)
     t = np.arange(len(made.position)) / RATE
     happened = Happened("", tree, t, made.position, made.torque, made.wrench, t, (t, t))
@@ -110,7 +110,7 @@ def _sysid(python: str, folder: Path, draws: int) -> dict[str, Any]:
     return dict(json.loads(out.read_text())["answers"])
 
 
-def _write(case: Case, folder: Path, methods: tuple[Method, ...], out: Path) -> float:
+def _write(case: Case, folder: Path, methods: tuple[Signal, ...], out: Path) -> float:
     """The file by testbed's defaults, as `identify --write` makes it; processor time [s]."""
     given = read(folder / f"recordings/{case.name}")
     start = time.process_time()
@@ -125,7 +125,7 @@ def _write(case: Case, folder: Path, methods: tuple[Method, ...], out: Path) -> 
 
 def _error(model: Path, motion: Recording) -> float:
     """Rms over joints and time [rad]."""
-    return float(np.sqrt((replay(tb.ModelFile(model), motion) ** 2).mean()))
+    return float(np.sqrt((replay_errors(tb.ModelFile(model), motion) ** 2).mean()))
 
 
 def main(

@@ -16,13 +16,18 @@ import testbed as tb
 from benchmarks.lines import print_lines
 from benchmarks.random_recordings import ROBOTS
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.consistency.robots import BODY, Robots, losses_of_file, robots
-from testbed.bodies.prior import Prior, prior_of
+from testbed.bodies.consistency.robots import (
+    BODY_PARAMETER_COUNT,
+    RobotSamples,
+    robots,
+    sample_file_losses,
+)
+from testbed.bodies.prior import PriorBodies, prior_of
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import Motion, linear
-from testbed.core.estimation.estimate import METHODS
-from testbed.core.parameters.pseudo_inertia import UPPER, coordinates
-from testbed.core.parameters.symbols import to_barycentric
+from testbed.core.dynamics.newton_euler import Motion, linear_inverse_dynamics
+from testbed.core.parameters.pseudo_inertia import UPPER_ENTRIES, pseudo_inertia_coordinates
+from testbed.core.parameters.rules import SIGNALS
+from testbed.core.parameters.symbols import barycentric_from_standard
 from tests.helpers.measured import measured, random_fourier
 
 DRAWS, BINS, STATES = 99, 20, 30
@@ -52,7 +57,7 @@ def ranks(robot: str, seeds: range, seconds: float) -> dict[str, Any]:
         drawn = prior_robots(file, prior, ERROR, 1, rng)
         truth = drawn.tree(0, file)
         recording = measured(truth, seed, duration=seconds).blind()
-        estimates = [tb.identify(file, recording, method, threads=1) for method in METHODS]
+        estimates = [tb.identify(file, recording, method, threads=1) for method in SIGNALS]
         found = robots(file, estimates, prior, DRAWS, rng, options)
         free = found.sigma > 0
         values, true = found.values[:, free], drawn.values[0, free]
@@ -81,14 +86,14 @@ def factors(logs: Array) -> Array:
         logs: In the order UPPER, (..., 10).
     """
     found = np.zeros((*logs.shape[:-1], 4, 4))
-    for k, (a, b) in enumerate(UPPER):
+    for k, (a, b) in enumerate(UPPER_ENTRIES):
         found[..., a, b] = np.exp(logs[..., k] / 2) if a == b else logs[..., k] / np.sqrt(2)
     return found
 
 
 def prior_robots(
-    tree: tb.Tree, prior: Prior, error: float, count: int, rng: np.random.Generator
-) -> Robots:
+    tree: tb.Tree, prior: PriorBodies, error: float, count: int, rng: np.random.Generator
+) -> RobotSamples:
     """Robots as the model file alone has them.
 
     Args:
@@ -98,14 +103,14 @@ def prior_robots(
         count: How many.
         rng: Draws the numbers.
     """
-    massive = list(prior.massive)
-    roots = factors(error * rng.normal(size=(count, len(massive), BODY)))
-    z = np.zeros((count, tree.n, BODY))
-    z[:, massive] = coordinates(roots @ np.swapaxes(roots, -1, -2))
-    bodies = (z.reshape(count, -1) @ prior.root.T).reshape(z.shape)
-    values = np.concatenate([bodies, losses_of_file(tree, prior, error, count, rng)], axis=-1)
+    massive = list(prior.massive_bodies)
+    roots = factors(error * rng.normal(size=(count, len(massive), BODY_PARAMETER_COUNT)))
+    z = np.zeros((count, tree.n, BODY_PARAMETER_COUNT))
+    z[:, massive] = pseudo_inertia_coordinates(roots @ np.swapaxes(roots, -1, -2))
+    bodies = (z.reshape(count, -1) @ prior.standard_from_coordinates.T).reshape(z.shape)
+    values = np.concatenate([bodies, sample_file_losses(tree, prior, error, count, rng)], axis=-1)
     links = tuple(joint.body for joint in tree.joints)
-    return Robots(tree.names, links, values, np.zeros(values.shape[1:]), error)
+    return RobotSamples(tree.names, links, values, np.zeros(values.shape[1:]), error)
 
 
 def uniform(found: Array) -> float:
@@ -116,9 +121,9 @@ def uniform(found: Array) -> float:
 
 def torques(tree: tb.Tree, motion: Motion, values: Array) -> Array:
     """What drives deliver, (M, n, N), by draws, (N, n, 13)."""
-    theta = to_barycentric(tree, np.moveaxis(values[..., :BODY], 0, -1))
-    bodies = linear(tree, motion, theta)[0]
-    dry, wet, rotor = np.moveaxis(values[..., BODY:], 0, -1).swapaxes(0, 1)
+    theta = barycentric_from_standard(tree, np.moveaxis(values[..., :BODY_PARAMETER_COUNT], 0, -1))
+    bodies = linear_inverse_dynamics(tree, motion, theta)[0]
+    dry, wet, rotor = np.moveaxis(values[..., BODY_PARAMETER_COUNT:], 0, -1).swapaxes(0, 1)
     speed = motion.qd[..., None]
     return np.asarray(bodies + dry * np.sign(speed) + wet * speed + rotor * motion.qdd[..., None])
 

@@ -1,6 +1,6 @@
 """What Python is promised, from the docstrings: `python -m docs.api`.
 
-The page says what a group of functions computes, as a formula; what each takes and returns is
+The page shows what a group of functions computes, as a formula; what each takes and returns is
 written between its marks from the function itself.
 """
 

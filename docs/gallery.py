@@ -111,8 +111,8 @@ def of_robots(figures: dict[str, Any]) -> Iterator[str]:
         about = f"{robot.title}: drawn on its bedplate, with the force and moment at rest"
         yield from (f"### {robot.title}", "", f"![{about}](pictures/gallery/{robot.name}.svg)", "")
         yield (
-            f"{found['joints']} joints, {10 * found['joints']} parameters, **{found['dynamic']}** "
-            f"base parameters from joint torques, **{found['reaction']}** from the plate. "
+            f"{found['joints']} joints, {10 * found['joints']} parameters, **{found['torque']}** "
+            f"base parameters from joint torques, **{found['wrench']}** from the plate. "
             f"`{robot.command}`"
         )
         yield ""
@@ -121,14 +121,14 @@ def of_robots(figures: dict[str, Any]) -> Iterator[str]:
 def of_experiments(figures: dict[str, Any]) -> Iterator[str]:
     """Claim, picture and figures of each experiment."""
     for path in experiments():
-        if path.stem not in figures:  # the test of pictures says what to do
+        if path.stem not in figures:  # the test of pictures reports what to do
             continue
         found = figures[path.stem]
         title = path.stem.replace("_", " ").capitalize()
         yield from (f"### {title}", "", prose(" ".join(found["claim"].split())), "")
         yield from (f"![{found['shows']}](pictures/gallery/{path.stem}.svg)", "")
-        obtained = found["obtained"].replace("internal to external", "torques' over plate's")
-        obtained = obtained.replace("external ", "plate's ").replace("internal ", "torques' ")
+        obtained = found["obtained"].replace("torque to wrench", "torques' over plate's")
+        obtained = obtained.replace("wrench ", "plate's ").replace("torque ", "torques' ")
         yield from (f"{obtained} `testbed {found['command']} {path.relative_to(ROOT)}`", "")
 
 

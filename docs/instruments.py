@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from docs.marks import write
-from testbed.lab.simulation.effects import KINDS as EFFECTS
+from testbed.lab.simulation.effects import EFFECT_KINDS as EFFECTS
 from testbed.sensors.catalogue import simulated_errors
-from testbed.sensors.kinds_in_words import in_words, rows
+from testbed.sensors.kinds_in_words import describe_kind, kind_table_lines
 from testbed.sensors.sensor_error import StageOrder
 
 DOCUMENT = Path(__file__).with_suffix(".md")
@@ -23,7 +23,9 @@ def as_markdown(of: str) -> str:
     """
     if of == "faults":
         return catalogue()
-    return "\n".join(["", *rows([in_words(effect) for effect in EFFECTS.values()]), "", ""])
+    return "\n".join(
+        ["", *kind_table_lines([describe_kind(effect) for effect in EFFECTS.values()]), "", ""]
+    )
 
 
 def catalogue() -> str:
@@ -36,8 +38,8 @@ def catalogue() -> str:
         cells = [", ".join(f"`{f.kind}`" for f in here if f.signal == s) for s in TITLES]
         lines.append(f"| {stage.name.lower()} | {' | '.join(cells)} |")
     for signal, title in TITLES.items():
-        own = [in_words(fault) for fault in kinds if fault.signal == signal]
-        lines += ["", f"### {title}", "", *rows(own)]
+        own = [describe_kind(fault) for fault in kinds if fault.signal == signal]
+        lines += ["", f"### {title}", "", *kind_table_lines(own)]
     lines.append("")
     return "\n".join(lines)
 

@@ -43,22 +43,22 @@ def _entries(entries: list[str | dict[str, str]], pages: Path) -> Iterator[str]:
 def schemas() -> Iterator[tuple[str, Any]]:
     """JSON schemas of what commands print with `--json`, by the command's name."""
     from testbed.applications.calibration import Calibration
-    from testbed.applications.drives.identify_drives import DriveFindings
+    from testbed.applications.drives.identify_drives import DriveIdentification
     from testbed.applications.payload.payload import PayloadEstimate
     from testbed.applications.validate import Validation
-    from testbed.core.base.codec import adapter
+    from testbed.core.base.codec import type_adapter
     from testbed.lab.experiment.results import Result
 
     results: dict[str, type] = {
         "run": Result,
         "identify": Result,
         "calibrate": Calibration,
-        "drives": DriveFindings,
+        "drives": DriveIdentification,
         "payload": PayloadEstimate,
         "validate": dict[str, Validation],
     }
     for name, result in results.items():
-        schema = adapter(result).json_schema()
+        schema = type_adapter(result).json_schema()
         if estimate := schema.get("$defs", {}).get("Estimate"):  # sums of products are not printed
             del estimate["properties"]["normal_equations"]
             estimate["required"].remove("normal_equations")

@@ -25,7 +25,7 @@ def written(text: str, module: str, words: Callable[[str], str]) -> str:
     Args:
         text: The page.
         module: The command's.
-        words: What stands in a place, by what its mark says.
+        words: What stands in a place, by what its mark states.
     """
     mark = re.escape(mark_of(module)).replace(r"\ \-\->", r"(?:: ([^\n]*?))?\ \-\->")
     place = re.compile(f"({mark})(?:.*?)({re.escape(END)})", re.DOTALL)
@@ -40,7 +40,7 @@ def write(
     Args:
         document: The page.
         module: The command's.
-        words: What stands in a place, by what its mark says.
+        words: What stands in a place, by what its mark states.
         template: The page without what is written, where the page itself is not committed.
     """
     document.write_text(written((template or document).read_text(), module, words))

@@ -63,5 +63,5 @@ class Mathematics(Extension):
 
 
 def makeExtension(**settings: object) -> Mathematics:
-    """What Python-Markdown asks for."""
+    """Extension that Python-Markdown loads."""
     return Mathematics(**settings)

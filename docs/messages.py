@@ -20,17 +20,17 @@ def as_markdown(of: str = "") -> str:
         of: Nothing: there is one place.
     """
     del of
-    from testbed.core.base.diagnostics import messages, phrase
+    from testbed.core.base.diagnostics import cause_phrase, message_table
 
     lines: list[str] = []
     for group, found in groupby(
-        sorted(messages().items()), key=lambda each: each[0].partition(".")[0]
+        sorted(message_table().items()), key=lambda each: each[0].partition(".")[0]
     ):
         rows = [
             (
                 f"`{code}` {message.level}",
                 plain(message.text),
-                "; ".join(map(phrase, message.causes)),
+                "; ".join(map(cause_phrase, message.causes)),
                 plain(message.remedy),
             )
             for code, message in found

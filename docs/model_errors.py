@@ -9,7 +9,7 @@ from testbed.core.estimation.model_errors.catalogue import model_error_families
 
 DOCUMENT = Path(__file__).parent / "model-errors.md"
 MODULE = "docs.model_errors"
-BY = {"internal": "torques", "external": "plate"}
+BY = {"torque": "torques", "wrench": "plate"}
 
 
 def as_markdown(of: str) -> str:

@@ -3,7 +3,7 @@
 Pages are plain Markdown and their links lead to files of the project, so that they read as
 well where they lie. The reference of commands, keys, diagnostics and Python is written
 from the code first. Then all are gathered: those of docs/, the README as the first page, and
-whatever else of the project they refer to; Zensical builds them, strictly, as zensical.toml says.
+whatever else of the project they refer to; Zensical builds them, strictly, as zensical.toml states.
 The site is in FOLDER/build/site, by default of the project's own folder.
 """
 

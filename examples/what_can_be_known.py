@@ -6,8 +6,8 @@ import testbed as tb
 
 tree = tb.load_tree(sys.argv[1] if len(sys.argv) > 1 else tb.shipped("puma562.urdf"))
 print(tree)
-dynamic = tb.minimal_set(tree, "dynamic")  # delta_d, by joint torques
-reaction = tb.minimal_set(tree, "reaction")  # delta_r, by the bedplate's reaction
+dynamic = tb.minimal_set(tree, "torque")  # delta_d, by joint torques
+reaction = tb.minimal_set(tree, "wrench")  # delta_r, by the bedplate's reaction
 
 print(f"Of {10 * tree.n} inertial parameters")
 print(f"joint torques identify {dynamic.count}: {', '.join(dynamic.names)}")

@@ -1,4 +1,4 @@
-"""`python -m testbed` is `testbed`."""
+"""Entry point of `python -m testbed`, the same as the command `testbed`."""
 
 from testbed.cli.main import main
 

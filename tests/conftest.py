@@ -44,7 +44,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(autouse=True)
 def no_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     """How long something takes must not show in what it says."""
-    monkeypatch.setattr(output, "BETWEEN", float(threading.TIMEOUT_MAX))
+    monkeypatch.setattr(output, "MIN_LINE_INTERVAL", float(threading.TIMEOUT_MAX))
 
 
 @pytest.fixture(scope="session")

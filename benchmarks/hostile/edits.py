@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn, SearchStrategy
 
-from testbed.core.recordings.formats.parquet import KEY
+from testbed.core.recordings.formats.parquet import METADATA_KEY
 
 WORDS = (
     "nan", "inf", "-inf", "1e308", "1e400", "1e-320", "-0.0", "0", "-1", "1e20", "", " ", "0x10",
@@ -155,9 +155,9 @@ def _rows(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
 
 def _metadata(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
     """What the file says of itself, as other JSON or none."""
-    text = (table.schema.metadata or {}).get(KEY.encode(), b"{}").decode()
+    text = (table.schema.metadata or {}).get(METADATA_KEY.encode(), b"{}").decode()
     made = draw(edited([json.dumps(json.loads(text), indent=place % 2)]))
-    return table.replace_schema_metadata({KEY: made})
+    return table.replace_schema_metadata({METADATA_KEY: made})
 
 
 def _columns(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:

@@ -117,7 +117,7 @@ def recordings(draw: DrawFn) -> Case:
         st.sampled_from(
             [
                 ("identify", "--zeros"), ("identify", "--json"),
-                ("identify", "--method", "external", "--gravity", "0,0,-1"),
+                ("identify", "--method", "wrench", "--gravity", "0,0,-1"),
                 ("identify", "--set", "identification.cutoff=4"),
                 ("view", "--save", "out.rrd"), ("report", "--out", "out.html"),
             ]

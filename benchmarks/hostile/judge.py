@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.hostile.case import Case
 from benchmarks.hostile.worker import MEGABYTES, SECONDS
-from testbed.core.base.errors import LONGEST_MESSAGE
+from testbed.core.base.errors import MAX_MESSAGE_LENGTH
 
 START = "testbed: "
 
@@ -61,7 +61,7 @@ def _words(done: Mapping[str, Any]) -> list[str]:
     errors = done["stderr"].split("\n")
     if not all(line.isprintable() for line in errors):
         found.append("control characters on standard error")
-    if any(len(line) > LONGEST_MESSAGE + len(START) for line in errors):
+    if any(len(line) > MAX_MESSAGE_LENGTH + len(START) for line in errors):
         found.append("a message too long")
     if not all(line.isprintable() for line in done["stdout"].split("\n")):
         found.append("control characters on standard output")

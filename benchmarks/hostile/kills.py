@@ -24,9 +24,9 @@ from typing import Any
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 
-from testbed.core.base.files import HIDDEN
+from testbed.core.base.files import TEMPORARY_PREFIX
 from testbed.importing.foreign_table import ForeignTable
-from testbed.importing.readers import tables
+from testbed.importing.readers import read_tables
 from tests.helpers.paths import GOLDEN
 
 FAILING = ("rename", "renameat2", "link", "mkdir", "fsync", "write", "pwrite64")
@@ -110,7 +110,7 @@ def _content(place: Path, outputs: str) -> Mapping[str, str]:
     tops = [place / name for name in outputs.split()]
     files = [each for top in tops for each in (top, *top.rglob("*")) if each.is_file()]
     names = {str(each.relative_to(place)): each for each in files}
-    return {name: _digest(each) for name, each in names.items() if HIDDEN not in name}
+    return {name: _digest(each) for name, each in names.items() if TEMPORARY_PREFIX not in name}
 
 
 def _digest(path: Path) -> str:
@@ -118,9 +118,9 @@ def _digest(path: Path) -> str:
     if path.suffix != ".rrd":
         return hashlib.sha256(path.read_bytes()).hexdigest()
     found = hashlib.sha256()
-    for topic, table in sorted(tables(path).items()):
+    for topic, table in sorted(read_tables(path).items()):
         if isinstance(table, ForeignTable):
-            for name, values in table.read(table.columns).items():
+            for name, values in table.column_values(table.columns).items():
                 found.update(f"{topic} {name}".encode() + values.tobytes())
     return found.hexdigest()
 
@@ -180,7 +180,7 @@ def _calls(log: Path) -> list[tuple[str, int]]:
                 continue
             call = match[1]
             numbers[call] += 1
-            begun = begun or HIDDEN in line
+            begun = begun or TEMPORARY_PREFIX in line
             if begun:
                 found.append((call, numbers[call]))
     return found
@@ -260,7 +260,7 @@ def _wrong(end: str, done: subprocess.CompletedProcess[str], fault: Fault, place
     """What is wrong with how a command ended; nothing if it ended well."""
     said = done.stderr.splitlines()
     there = [each.name for each in place.iterdir()]
-    left = [name for name in there if name.startswith(HIDDEN) or "-before-" in name]
+    left = [name for name in there if name.startswith(TEMPORARY_PREFIX) or "-before-" in name]
     if end == "neither":
         return "neither the older outputs nor the new ones"
     if done.returncode in (0, 1) and end != "new":
@@ -269,6 +269,6 @@ def _wrong(end: str, done: subprocess.CompletedProcess[str], fault: Fault, place
         return ""
     if "Traceback" in done.stderr or done.returncode == 70:
         return f"a traceback, exit code {done.returncode}"
-    if any(HIDDEN in line for line in said):
+    if any(TEMPORARY_PREFIX in line for line in said):
         return "a temporary folder in a message"
     return f"left behind: {left[0]}" if left and fault.call not in ("unlink", "rmdir") else ""

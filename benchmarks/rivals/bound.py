@@ -18,7 +18,7 @@ def solve(case: Case, signal: str) -> Answer:
     """Standard deviations of predictions by the least possible covariance."""
     tree = tb.load_tree(case.urdf)
     plate = signal == "wrench"
-    minimal = tb.minimal_set(tree, "reaction" if plate else "dynamic")
+    minimal = tb.minimal_set(tree, "wrench" if plate else "torque")
     q = filtfilt(*butter(4, 5.0, fs=case.rate), case.q, axis=0)
     qd = np.gradient(q, 1 / case.rate, axis=0)
     motion = tb.Motion(case.t, q, qd, np.gradient(qd, 1 / case.rate, axis=0))

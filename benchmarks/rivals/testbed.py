@@ -8,7 +8,7 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.rivals.case import Answer, Case, answer
-from testbed.core.base.installation import versions
+from testbed.core.base.installation import package_versions
 
 
 def solve(case: Case, signal: str) -> Answer:
@@ -17,7 +17,7 @@ def solve(case: Case, signal: str) -> Answer:
     # the user's lines
     tree = tb.load_tree(case.urdf)
     recording = tb.Recording(case.joints, case.t, case.q, torque=case.torque, wrench=case.wrench)
-    estimate = tb.identify(tree, recording, "external" if signal == "wrench" else "internal")
+    estimate = tb.identify(tree, recording, "wrench" if signal == "wrench" else "torque")
     # end
     cpu = time.process_time() - start
     count = estimate.minimal.count
@@ -44,4 +44,4 @@ def warn(case: Case, signal: str) -> Answer:
 
 
 if __name__ == "__main__":
-    answer({"default": solve, "both signals": warn}, versions()["testbed"])
+    answer({"default": solve, "both signals": warn}, package_versions()["testbed"])

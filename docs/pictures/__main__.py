@@ -20,6 +20,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 WIDTH = 1440
+DARKEST_SHARE = 48.0
+"""Share of the colour in the darkest cell, on which text is legible [%]."""
 SIZE, ZOOM = "1920x1440", 10
 """Of the viewer's window [pixels], and steps of its zoom: words can be read on a page."""
 
@@ -43,13 +45,13 @@ def testbed(*words: str) -> None:
 def viewer(run: Path, folder: Path) -> None:
     """What the viewer shows first of a run."""
     from testbed.lab.experiment.results import read_run
-    from testbed.view.viewer.log import write_rrd
-    from testbed.view.viewer.scene import scene_of
+    from testbed.view.viewer.log import write_runs_rrd
+    from testbed.view.viewer.scene import build_scene
     from tests.helpers.viewer import headless_viewer
 
-    scene = scene_of(read_run(run))
+    scene = build_scene(read_run(run))
     path = folder / "viewer_wrench.rrd"
-    write_rrd([scene], path)
+    write_runs_rrd([scene], path)
     with headless_viewer(folder, SIZE) as (seen, _):
         seen.open(str(path))
         for _ in range(ZOOM):
@@ -81,37 +83,36 @@ def report(run: Path, folder: Path) -> None:
 def campaign(folder: Path) -> None:
     """Errors of both methods over plate noise and friction, if the folder is new, from new runs."""
     from docs.pictures.drawing import CELL, LEFT, save, table, words
-    from testbed.campaigns.results import RESULTS, read_results
+    from testbed.campaigns.results import RESULTS_FILE, read_campaign_results
     from testbed.campaigns.summary import summarise
     from testbed.core.base.errors import round_significant
-    from testbed.view.section import DARKEST
 
     if not folder.exists():
         file = "experiments/campaigns/noise_friction.toml"
         testbed("campaign", file, "--out", str(folder))
     wide, top, parts = 62, 24.0, []
-    cells = summarise(read_results(folder / RESULTS).rows)
+    cells = summarise(read_campaign_results(folder / RESULTS_FILE).rows)
     errors = {(each.estimator, *map(float, each.levels.values())): each.error for each in cells}
     columns = sorted({noise for _, _, noise in errors})
     lightest = math.log(min(errors.values()))
     span = math.log(max(errors.values())) - lightest
-    for method, caption in (("external", "Wrench"), ("internal", "Joint torques")):
+    for method, caption in (("wrench", "Wrench"), ("torque", "Joint torques")):
         rows: dict[str, list[str]] = {}
         for k, friction in enumerate(sorted({friction for _, friction, _ in errors})):
             values = [errors[method, friction, noise] for noise in columns]
             rows[f"{friction:g}"] = [f"{round_significant(100 * value, 2):g}" for value in values]
             for c, value in enumerate(values):
-                share = DARKEST * (math.log(value) - lightest) / span
+                share = DARKEST_SHARE * (math.log(value) - lightest) / span
                 parts.append(
                     f'<rect x="{LEFT + wide * c}" y="{top + 6 + CELL * (k + 1)}" width="{wide}" '
-                    f'height="{CELL}" fill="var(--external)" opacity="{share / 100:.2f}"/>'
+                    f'height="{CELL}" fill="var(--wrench)" opacity="{share / 100:.2f}"/>'
                 )
         parts += table(top, f"{caption} [%]", [f"{noise:g}" for noise in columns], rows, wide)
         top += 26 + CELL * (len(rows) + 1) + 12
     row, column = cells[0].levels
     parts.append(words(8, top, f"Rows: {row}. Columns: {column}.", "start", "", "faint"))
-    says = "Rms relative error of both methods over friction that the model lacks and plate noise"
-    save("campaign", LEFT + wide * len(columns) + 8, top + 14, parts, says)
+    label = "Rms relative error of both methods over friction that the model lacks and plate noise"
+    save("campaign", LEFT + wide * len(columns) + 8, top + 14, parts, label)
 
 
 def smaller(path: Path, width: int) -> None:

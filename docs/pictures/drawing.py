@@ -86,7 +86,7 @@ def square(x: float, y: float, side: float, share: float) -> str:
     """A square in the colour of the plate's estimates, more or less full."""
     return (
         f'<rect x="{x:g}" y="{y:g}" width="{side:g}" height="{side:g}" rx="3" '
-        f'fill="var(--external)" fill-opacity="{share:g}" stroke="var(--line)"/>'
+        f'fill="var(--wrench)" fill-opacity="{share:g}" stroke="var(--line)"/>'
     )
 
 
@@ -157,13 +157,13 @@ def table(
 
 
 def error_dots(
-    errors: Mapping[str, Mapping[str, float]], says: Mapping[str, str], left: float = LEFT
+    errors: Mapping[str, Mapping[str, float]], label: Mapping[str, str], left: float = LEFT
 ) -> tuple[float, float, list[str]]:
     """Errors of parameters as dots on one logarithmic scale.
 
     Args:
         errors: In percent, by parameter, by method.
-        says: What the methods are called.
+        label: What the methods are called.
         left: Room for the names [pixels].
 
     Returns:
@@ -180,7 +180,7 @@ def error_dots(
 
     top, bottom = 40, 40 + ROW * len(errors) + 6
     parts = []
-    for k, (method, said) in enumerate(says.items()):
+    for k, (method, said) in enumerate(label.items()):
         x = left + 190 * k
         parts += [dot(x + 6, 16, 5.5, method), words(x + 18, 21, said)]
     for power in range(low, high + 1, step):

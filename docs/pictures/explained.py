@@ -28,15 +28,19 @@ from docs.pictures.drawing import (
     turn,
     words,
 )
-from testbed.bodies.posterior import posterior, rows_of
+from testbed.bodies.posterior import compute_posterior, corrected_row_parts
 from testbed.bodies.prior import prior_of
 from testbed.core.estimation.problem import Problem
-from testbed.core.parameters.identifiability import ALONE, COMBINED, identifiability
-from testbed.core.parameters.symbols import STANDARD
-from testbed.lab.instruments.chain import measured_again
+from testbed.core.parameters.identifiability import (
+    IDENTIFIABLE_ALONE,
+    IDENTIFIABLE_IN_COMBINATION,
+    identifiability,
+)
+from testbed.core.parameters.symbols import STANDARD_NAMES
+from testbed.lab.instruments.chain import remeasured
 from testbed.view.drawing import svg
 from testbed.view.figures import Panel
-from testbed.view.minimal_sets import GLYPHS
+from testbed.view.minimal_sets import IDENTIFIABILITY_GLYPHS
 
 MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
 UR5 = "tests/golden/robots/ur5.urdf"
@@ -44,7 +48,7 @@ SIDE, FILLS = 21, (0.0, 0.3, 1.0)
 """Of a square [pixels]; how full it is: never, in combination, alone."""
 BOLD = "font-weight: 600"
 SMALL = "font-size: 12px"
-METHODS = {"external": "force plate", "internal": "joint torques"}
+METHODS = {"wrench": "force plate", "torque": "joint torques"}
 WALL, SPRING = 0.05, 0.1
 """Of a barrier that keeps bodies possible, and of what keeps them near [kg]."""
 PATIENT = {"maxiter": 8000, "maxfev": 8000, "adaptive": True}
@@ -75,8 +79,8 @@ def save_forces() -> None:
         parts += [line((x + 90, 140, x + 40, 70), "faint", 10)]
         parts += [dot(x, 220, 10, "ink"), dot(x + 90, 140, 9, "ink"), dot(x + 40, 70, 6, "faint")]
     for x, y in ((150, 220), (240, 140)):
-        parts += [turn(x, y, 24, (110, 250), "internal"), turn(x, y, 24, (70, -70), "measured")]
-    parts.append(words(118, 214, "motor", "end", SMALL, "internal"))
+        parts += [turn(x, y, 24, (110, 250), "torque"), turn(x, y, 24, (70, -70), "measured")]
+    parts.append(words(118, 214, "motor", "end", SMALL, "torque"))
     parts.append(words(184, 238, "friction, rotor,", "start", SMALL, "faint"))
     parts.append(words(184, 254, "wrong constant", "start", SMALL, "faint"))
     for x, y in ((530, 220), (620, 140)):  # on one link and on the other: a pair that cancels
@@ -99,7 +103,7 @@ def save_augmented() -> None:
     parts = [words(150, 24, "a robot of three bodies", "middle", BOLD)]
     parts.append(words(560, 24, "the augmented body 2", "middle", BOLD))
     joints = ((50, 300), (110, 180), (210, 130), (285, 70))
-    for (x0, y0), (x1, y1), colour in zip(joints, joints[1:], ("measured", "external", "internal"),
+    for (x0, y0), (x1, y1), colour in zip(joints, joints[1:], ("measured", "wrench", "torque"),
                                           strict=False):  # fmt: skip
         parts.append(line((x0, y0, x1, y1), colour, 14))
     for k, (x, y) in enumerate(joints[:3], start=1):
@@ -109,8 +113,8 @@ def save_augmented() -> None:
     parts.append(line((10, 312, 90, 312), "ink", 6))
     parts.append(arrow(330, 180, 400, 180, "faint"))
     x0, y0, x1, y1 = 450, 230, 640, 135
-    parts += [line((x0, y0, x1, y1), "external", 14), dot(x0, y0, 8, "ink")]
-    parts.append(dot(x1, y1, 17, "internal"))
+    parts += [line((x0, y0, x1, y1), "wrench", 14), dot(x0, y0, 8, "ink")]
+    parts.append(dot(x1, y1, 17, "torque"))
     parts.append(words(x1 + 26, y1 - 6, "all that joint 3 carries,"))
     parts.append(words(x1 + 26, y1 + 12, "as a point at joint 3"))
     parts.append(words(x0, y0 + 34, "joint 2", "middle", SMALL, "faint"))
@@ -132,20 +136,20 @@ def save_same_forces() -> None:
     assert all(np.linalg.eigvalsh(body.pseudo).min() > 0 for body in other.inertias)
     parts = [words(20, 24, "Two robots: their second links", "start", BOLD)]
     rows = [tb.standard(each)[1] for each in (tree, other)]
-    for k, (name, one, two) in enumerate(zip(STANDARD, *rows, strict=True)):
+    for k, (name, one, two) in enumerate(zip(STANDARD_NAMES, *rows, strict=True)):
         y = 56 + 22 * k
         parts.append(words(60, y, name, "end"))
         parts.append(words(160, y, f"{one:.3f}", "end", "", "faint"))
-        parts.append(words(250, y, f"{two:.3f}", "end", "", "external"))
+        parts.append(words(250, y, f"{two:.3f}", "end", "", "wrench"))
     parts.append(words(400, 24, "Torque of the shoulder on one motion [N m]", "start", BOLD))
     panel = Panel(
         "",
-        {"measured": (sampled.t, torque[0]), "external": (sampled.t, torque[1])},
+        {"measured": (sampled.t, torque[0]), "wrench": (sampled.t, torque[1])},
         "time [s]",
     )
     parts.append(placed(svg(panel), 300, 40, 500, 225))
     parts += [line((400, 284, 430, 284), "measured", 4), words(438, 289, "the first robot")]
-    parts += [line((580, 284, 610, 284), "external", 2), words(618, 289, "the other one")]
+    parts += [line((580, 284, 610, 284), "wrench", 2), words(618, 289, "the other one")]
     save("same_forces", 820, 310, parts, "Two robots whose second links have other masses, first "
          "moments and inertias, and whose shoulder torques are one curve")  # fmt: skip
 
@@ -158,16 +162,16 @@ def save_map() -> None:
     names = {"torques": "Joint torques", "bedplate": "Plate"}
     for seen in identifiability(tree, zeros=True)[:2]:
         rows = {
-            name: [GLYPHS[k] for k in codes]
+            name: [IDENTIFIABILITY_GLYPHS[k] for k in codes]
             for name, codes in zip(tree.names, seen.standard, strict=True)
         }
         title = f"{names[seen.instrument]}: {seen.count} base parameters"
-        parts += table(top, title, STANDARD, rows, 40)
+        parts += table(top, title, STANDARD_NAMES, rows, 40)
         top += 26 + CELL * (tree.n + 1) + 12
     parts.append(
         words(8, top, "#: alone; +: in combination; ·: not identifiable", "start", "", "faint")
     )
-    save("map", LEFT + 40 * len(STANDARD) + 8, top + 14, parts, "Which of the ten parameters "
+    save("map", LEFT + 40 * len(STANDARD_NAMES) + 8, top + 14, parts, "Which of the ten parameters "
          "of each link are identifiable from joint torques and with the plate")  # fmt: skip
 
 
@@ -176,7 +180,9 @@ def save_sensors() -> None:
     wrist = tb.ForceSensor("b6")
     torques, plate = identifiability(tb.load_tree(UR5))[:2]
     tool = identifiability(tb.load_tree(UR5, sensor=wrist))[0]
-    scaled = np.minimum(torques.standard, COMBINED)  # constants are unknown: ratios only
+    scaled = np.minimum(
+        torques.standard, IDENTIFIABLE_IN_COMBINATION
+    )  # constants are unknown: ratios only
     panels = (
         ("Force plate", f"{plate.count} base parameters", plate.standard),
         ("Force sensor at the wrist", f"all {tool.count} of what it carries", tool.standard),
@@ -184,10 +190,10 @@ def save_sensors() -> None:
         ("Motor currents", f"ratios of the {torques.count}, friction", scaled),
     )
     parts: list[str] = []
-    for k, (title, says, seen) in enumerate(panels):
+    for k, (title, label, seen) in enumerate(panels):
         x, y = 8 + SIDE * 13.5 * (k % 2), 24 + SIDE * 9.8 * (k // 2)
-        parts += [words(x, y, title, "start", BOLD), words(x, y + 18, says, colour="faint")]
-        for place, name in enumerate(STANDARD):
+        parts += [words(x, y, title, "start", BOLD), words(x, y + 18, label, colour="faint")]
+        for place, name in enumerate(STANDARD_NAMES):
             at = x + 20 + SIDE * (place + 0.45)
             parts.append(words(at, y + 38, name, "middle", "font-size: 10px", "faint"))
         for row, codes in enumerate(seen):
@@ -198,8 +204,12 @@ def save_sensors() -> None:
                 for place, code in enumerate(codes)
             ]
     y = 24 + SIDE * 19.6
-    for x, code, says in ((8, ALONE, "alone"), (90, COMBINED, "in combination"), (230, 0, "never")):
-        parts += [square(x, y - 13, SIDE - 5, FILLS[code]), words(x + 22, y, says, colour="faint")]
+    for x, code, label in (
+        (8, IDENTIFIABLE_ALONE, "alone"),
+        (90, IDENTIFIABLE_IN_COMBINATION, "in combination"),
+        (230, 0, "never"),
+    ):
+        parts += [square(x, y - 13, SIDE - 5, FILLS[code]), words(x + 22, y, label, colour="faint")]
     save("sensors", SIDE * 27, y + 12, parts, "Which of the ten parameters of each link of a UR5 "
          "a force plate, a wrist sensor, joint torques and currents identify")  # fmt: skip
 
@@ -225,16 +235,19 @@ def indistinguishable(tree: tb.Tree) -> tb.Tree:
     """
     from scipy.optimize import minimize
 
-    from testbed.core.parameters.symbols import on_standard, with_standard
+    from testbed.core.parameters.symbols import forms_on_standard, with_standard_parameters
 
     seen = np.concatenate(
-        [on_standard(tree, tb.minimal_set(tree, model).matrix) for model in ("dynamic", "reaction")]
+        [
+            forms_on_standard(tree, tb.minimal_set(tree, model).matrix)
+            for model in ("torque", "wrench")
+        ]
     )
     blind = np.linalg.svd(seen)[2][np.linalg.matrix_rank(seen) :]
     own = tb.standard(tree).ravel()
 
     def other(step: np.ndarray) -> tb.Tree:
-        return with_standard(tree, (own + step @ blind).reshape(tree.n, 10))
+        return with_standard_parameters(tree, (own + step @ blind).reshape(tree.n, 10))
 
     def heavy(step: np.ndarray) -> float:
         bodies = [body.pseudo for body in other(step).inertias]
@@ -256,7 +269,7 @@ def short(more: list[str]) -> tb.Experiment:
 def save_errors() -> None:
     """Table 6 by plate and by torques."""
     run = tb.carry_out(tb.Experiment.from_toml(EXPERIMENT))
-    width, height, parts = error_dots(errors_of(run), METHODS)
+    width, height, parts = error_dots(errors_of_run(run), METHODS)
     save("errors", width, height, parts, "Relative errors of the nine parameters that both "
          "identify: by the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip
 
@@ -278,7 +291,7 @@ def save_overview() -> None:
          "7 %")  # fmt: skip
 
 
-def errors_of(run: Any) -> dict[str, dict[str, float]]:
+def errors_of_run(run: Any) -> dict[str, dict[str, float]]:
     """Relative errors in percent of the inertial parameters, by parameter and method.
 
     Args:
@@ -302,12 +315,12 @@ def save_sigma() -> None:
     perfect = tb.record(experiment.model_copy(update={"measurement": clean}))
     tree = tb.load_tree(experiment.model)
     name = "K3yy"
-    minimal = tb.minimal_set(tree, "reaction", zeros=True)
+    minimal = tb.minimal_set(tree, "wrench", zeros=True)
     truth = minimal.values(tb.barycentric(tree))[minimal.names.index(name)]
     noise = replace(clean, force_noise=0.5, moment_noise=0.1)
     found = []
     for seed in range(1, TIMES + 1):
-        estimate = tb.identify(tree, measured_again(perfect, noise, seed), zeros=True)
+        estimate = tb.identify(tree, remeasured(perfect, noise, seed), zeros=True)
         k = estimate.names.index(name)
         found.append((estimate.values[k], 1.96 * estimate.sigma[k]))
     low = min(v - s for v, s in found) - 2e-4
@@ -320,7 +333,7 @@ def save_sigma() -> None:
         x, middle = 80 + 17 * k, 290 - (value - low) * scale
         holds = abs(value - truth) < half
         miss += not holds
-        colour = "external" if holds else "internal"
+        colour = "wrench" if holds else "torque"
         parts.append(line((x, middle - half * scale, x, middle + half * scale), colour, 2.5))
         parts.append(dot(x, middle, 4, colour))
     parts.append(words(20, 320, f"{TIMES - miss} of {TIMES} contain the true value."))
@@ -332,18 +345,14 @@ def save_sigma() -> None:
          "the truth")  # fmt: skip
 
 
-if __name__ == "__main__":
-    main()
-
-
 def save_real_arm() -> None:
     """The wrench of a real arm below 2 Hz: measured, by the model file, with the file as prior."""
     folder = HERE.parent.parent / "examples/ur5e_plate"
     recording = tb.import_recording(folder / "ur5e.toml")
     file, source, _ = tb.hold_still(tb.ModelFile(folder / "ur5e_arm.urdf"), recording)
     tree, settings = file.tree(), tb.Settings(cutoff=2.0)
-    rows = rows_of(Problem.of(tree, source, "external", settings), None)
-    found = posterior(rows, prior_of(tree))
+    rows = corrected_row_parts(Problem.from_recording(tree, source, "wrench", settings), None)
+    found = compute_posterior(rows, prior_of(tree))
     low = butter(4, 2.0 / (source.rate / 2), output="sos")
     part = source.part(0, source.samples).ordered(tree)
     q, measured = (
@@ -351,10 +360,10 @@ def save_real_arm() -> None:
     )
     qd = np.gradient(q, 1 / source.rate, axis=0)
     motion = tb.Motion(part.time, q, qd, np.gradient(qd, 1 / source.rate, axis=0))
-    minimal = tb.minimal_set(tree, "reaction")
+    minimal = tb.minimal_set(tree, "wrench")
     phi = tb.regressor(tree, motion, minimal)
     curves = {"measured": measured}
-    for colour, values in (("internal", found.file), ("external", found.values)):
+    for colour, values in (("torque", found.file), ("wrench", found.values)):
         wrench = phi @ values[: minimal.count]
         curves[colour] = wrench + (measured - wrench).mean(axis=0)  # the plate's zero
     parts = []
@@ -381,3 +390,7 @@ def save_real_arm() -> None:
     parts.append(words(390, 488, "18.5 s", "middle", SMALL, "faint"))
     save("real_arm", 720, 500, parts, "Moments and vertical force of a real UR5e: measured, by "
          "the model file, and by the model file with the recording")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

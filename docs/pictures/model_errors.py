@@ -29,15 +29,15 @@ def main() -> None:
     tree = robot("ur5")
     recording = measured(tree, 4, duration=20.0, noise=0.1)
     shown: dict[str, tuple[str, str, Array]] = {}
-    for method in ("internal", "external"):
+    for method in ("torque", "wrench"):
         estimate = tb.identify(tree, recording, method)
-        problem = Problem.of(tree, recording, method)
+        problem = Problem.from_recording(tree, recording, method)
         none = np.zeros((0, len(estimate.values) + 1))
         rows = error_rows(problem, problem.source, estimate.values, none)
         families = [f for f in model_error_families() if f.physical and method in f.methods]
-        unknowns = rows.whitened(rows.columns)
+        unknowns = rows.whitened_rows(rows.columns)
         for family in families:
-            columns = rows.families([family])[0][family.kind]
+            columns = rows.family_columns([family])[0][family.kind]
             some = np.random.default_rng(1).normal(size=columns.shape[2])
             signal = columns @ (some / np.sqrt(columns.shape[2]))
             flat = unknowns.reshape(-1, unknowns.shape[2])
@@ -57,11 +57,11 @@ def main() -> None:
         y = top + 56 - 24 * values / most
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
         parts.append(
-            f'<polyline points="{points}" fill="none" stroke="var(--external)" stroke-width="1.3"/>'
+            f'<polyline points="{points}" fill="none" stroke="var(--wrench)" stroke-width="1.3"/>'
         )
     height = 20 + HIGH * -(-len(shown) // COLUMNS)
-    says = "Residuals of a UR5 in 20 s by each family of model errors, beside the parameters"
-    save("model_errors", 24 + WIDE * COLUMNS, height, parts, says)
+    label = "Residuals of a UR5 in 20 s by each family of model errors, beside the parameters"
+    save("model_errors", 24 + WIDE * COLUMNS, height, parts, label)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Identification of payloads, tools and drives; calibration of the plate.
+"""Identification of payloads, tools and drives; calibration of the force plate.
 
 In: recordings and a `Tree`.
-Out: estimates of the payload, of the drives, of the plate.
+Out: estimates of a payload, of the drives, of the plate's errors.
 """

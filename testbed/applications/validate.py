@@ -1,8 +1,8 @@
-"""How well an estimate predicts a recording that it was not made from.
+"""Validation of an estimate by the residuals of another recording.
 
-The other recording's rows are made as identification makes them. What is left of its signals is
-held against what must be left: the noise that the estimate's own recording had, and what the
-covariance of the parameters adds along the other motion.
+The regressor rows of the other recording are formed as for identification. The rms residual is
+compared with its expected size: the noise in the estimate's own recording, and the errors that the
+covariance of the parameters causes along the other motion.
 """
 
 from __future__ import annotations
@@ -13,233 +13,77 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from testbed.applications.prediction import covariance_without_correction
 from testbed.bodies.estimate_summary import check_parameters
 from testbed.bodies.prediction_errors import (
-    PLAIN,
+    LEAST_SQUARES,
     REFITTED,
     PredictionErrors,
-    errors_of_another,
+    errors_on_recording,
 )
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.codec import with_properties
-from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose, sentences
+from testbed.core.base.codec import schema_with_properties
+from testbed.core.base.diagnostics import (
+    Diagnosed,
+    Diagnostic,
+    make_diagnostic,
+    sentences,
+)
 from testbed.core.base.errors import RecordingError
-from testbed.core.base.stages import Progress, unreported
+from testbed.core.base.stages import Progress, ignore_progress
 from testbed.core.base.summary_table import Summarized, SummaryTable
-from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.estimate import (
-    METHODS,
     Estimate,
     EstimateSummary,
-    Method,
     channel_label,
     channel_units,
-    matters,
+    non_negligible_residuals,
 )
-from testbed.core.estimation.model_errors.model_errors import WithoutModelErrors
-from testbed.core.estimation.problem import Problem, tare_of
-from testbed.core.estimation.regression.normal_equations import square_root
-from testbed.core.estimation.regression.windows import motion_taps
-from testbed.core.estimation.selection.chosen import with_chosen_settings
-from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.recordings.geometry import in_its_gravity
-from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import RecordingLike, Source, longest_segment
-from testbed.core.robot.friction import ROOM, SLOPE, term_torque
+from testbed.core.estimation.model_errors.model_errors import ModelErrorFreeSource
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.normal_equations import matrix_square_root
+from testbed.core.estimation.selection.chosen import completed_by_estimates
+from testbed.core.estimation.settings import Settings
+from testbed.core.parameters.rules import Signal
+from testbed.core.recordings.source import RecordingLike, Source
+from testbed.core.robot.friction import OFFSET_DRIFT
 from testbed.core.robot.tree import Tree
 from testbed.sensors.corrected import corrected
 
+Z_95_PERCENT = 1.96
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
-def motion_in(
-    recording: Recording, settings: Settings = DEFAULTS
-) -> tuple[Motion, slice]:
-    """The motion that a recording's longest segment shows, and which of its samples that is.
-
-    Args:
-        recording: Encoders, and velocities and accelerations where they were sensed.
-        settings: Whose filter on positions to use; default those of `Settings()`.
-
-    Returns:
-        The motion, and the slice of samples that it covers: filters take both ends.
-    """
-    first, last = longest_segment(recording)
-    shown = recording.part(first, last)
-    if shown.velocity is not None and shown.acceleration is not None:  # both
-        rates = shown.velocity, shown.acceleration
-        return Motion(shown.time, shown.position, *rates), slice(first, last)
-    fitted = settings.fitted(shown.rate)
-    taps = motion_taps(shown.rate, fitted.position_low_pass)
-    reach = taps.shape[1] // 2
-    inner = slice(first + reach, last - reach)
-    if shown.samples <= 2 * reach:
-        raise RecordingError("the recording is too short for the filter on positions")
-    signals = (
-        np.apply_along_axis(np.convolve, 0, shown.position, tap[::-1], "valid")
-        for tap in taps
-    )
-    return Motion(recording.time[inner], *signals), inner
-
-
-def parameters_of(estimate: Estimate, others: Array | None = None) -> Array:
-    """Barycentric parameters that an estimate's minimal ones allow, (n, 10).
-
-    Of all that do, the smallest, or those nearest to `others`: forces are the same.
-
-    Args:
-        estimate: Of either method.
-        others: What to keep of the parameters that the estimate cannot identify, (n, 10).
-    """
-    matrix = estimate.minimal.matrix
-    start = np.zeros(matrix.shape[1]) if others is None else others.ravel()
-    gap = estimate.base.values - matrix @ start
-    theta: Array = start + np.linalg.lstsq(matrix, gap, rcond=None)[0]
-    return estimate.minimal.carried(theta).reshape(-1, 10)
-
-
-def predictions(
-    tree: Tree,
-    recording: Recording,
-    motion: Motion,
-    estimates: Mapping[Method, Estimate],
-) -> tuple[dict[Method, Array], dict[Method, Array]]:
-    """What plate and drives should have shown along a motion, by method.
-
-    By the internal estimate the wrench is the external one's with those parameters put in that
-    joint torques identify, and there is none without it; by the external one torques lack what the
-    joints add of their own.
-
-    Args:
-        tree: The robot; its masses do not matter.
-        recording: Says its gravity, and how much of the wrench is the pedestal's.
-        motion: The motion it shows.
-        estimates: By method, "external" and "internal", in any order.
-
-    Returns:
-        Wrenches, pedestal included, (M, 6) [N, N m]; and motor torques, (M, n) [N m or N].
-    """
-    tree = in_its_gravity(tree, recording)
-    tare = tare_of(tree, recording)
-    theta = np.zeros((tree.n, 10, len(estimates)))
-    methods = [method for method in METHODS if method in estimates]
-    for k, method in enumerate(methods):  # the external one comes first
-        theta[..., k] = parameters_of(estimates[method], theta[..., 0] if k else None)
-    joints, plate = linear(tree, motion, theta)
-    first = int(np.searchsorted(recording.time, motion.t[0]))
-    warmth = recording.temperature
-    warmth = None if warmth is None else warmth[first : first + motion.samples] - ROOM
-    torque = {
-        m: joints[..., k] + own_torque(motion, estimates[m], warmth)
-        for k, m in enumerate(methods)
-    }
-    whole = methods if "external" in methods else []
-    return {m: plate[..., k] + tare for k, m in enumerate(whole)}, torque
-
-
-def own_torque(
-    motion: Motion, estimate: Estimate, warmth: Array | None = None
-) -> Array:
-    """What an estimate's joint terms add to the torques, (M, n) [N m or N].
-
-    Without the drift of offsets, which is one recording's.
-
-    Args:
-        motion: M samples, joints in the order of `estimate.joints`.
-        estimate: Of either method; the external one knows none.
-        warmth: Temperatures over 25 degC, (M, n) [K]; default none.
-    """
-    found = np.zeros_like(motion.qd)
-    drives = estimate.drives
-    if drives is not None:
-        own = estimate.values[estimate.minimal.count :]
-        for term, value in zip(drives.terms, own, strict=True):
-            known = warmth is not None and term.law.by == "temperature"
-            by = warmth[:, term.joint] if warmth is not None and known else 0.0
-            found += value * term_torque(drives.tree, term, motion.qd, motion.qdd, by)
-    return found
-
-
-def friction(speed: Array, estimate: Estimate) -> Array:
-    """What an estimate's joint terms add to the torques at steady speed, (M, n) [N m or N].
-
-    Args:
-        speed: Joint velocities, (M, n) [rad/s or m/s], in the order of `estimate.joints`.
-        estimate: Of the internal method.
-    """
-    steady = Motion(
-        np.arange(len(speed), dtype=float), speed, speed, np.zeros_like(speed)
-    )
-    return own_torque(steady, estimate)
-
-
-def variances(
-    tree: Tree, recording: Recording, motion: Motion, estimate: Estimate
-) -> Array:
-    """Variances of predictions of an estimate's own signal by its covariance, (M, C).
-
-    Args:
-        tree: The robot; its masses do not matter.
-        recording: Says its gravity.
-        motion: M samples.
-        estimate: Of either method.
-    """
-    tree = in_its_gravity(tree, recording)
-    terms = () if estimate.drives is None else estimate.drives.terms
-    root = square_root(_beside_correction(estimate))
-    bodies, own = np.split(root, [estimate.minimal.count])
-    lift = np.linalg.pinv(estimate.minimal.matrix) @ bodies
-    theta = estimate.minimal.carried(lift).reshape(tree.n, 10, -1)
-    found = []
-    for first in range(0, motion.samples, BLOCK):
-        part = motion[first : first + BLOCK]
-        columns = linear(tree, part, theta)[estimate.method == "external"]
-        for term, row in zip(terms, own, strict=False):  # other unknowns follow
-            torque = term_torque(tree, term, part.qd, part.qdd)
-            columns += torque[..., None] * row
-        found.append((columns**2).sum(axis=2))
-    return np.concatenate(found)
-
-
-def _beside_correction(estimate: EstimateSummary) -> Array:
-    """Covariance without that of model errors, which is in the doubt about them, (p, p)."""
-    if estimate.correction is None:
-        return estimate.covariance
-    return np.asarray(estimate.covariance - estimate.correction.covariance)
-
-
-BLOCK = 4096
-"""Samples whose variances are computed together."""
-
-LEVEL = 1.96
-"""Standard deviations within which 95 % of a normal distribution are."""
-
-LIMIT = 2.0
-"""Times what noise and covariance allow beyond which a residual is worth a warning."""
+MAX_ERROR_RATIO = 2.0
+"""Ratio of residual to expected error above which a warning is given."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation(Diagnosed, Summarized):
-    """An estimate against another recording, channel by channel.
+    """Residuals of an estimate on another recording, with their expected sizes.
 
     Attributes:
-        method: Of the estimate.
-        channels: The measured channels, C.
-        units: One each, N or N m.
-        rows: Rows that count; where there are none, all numbers are nan.
+        method: Signal of the estimate.
+        channels: Names of the C measured channels.
+        units: Unit of each channel, N or N m.
+        rows: Number of rows used in each channel; without rows all statistics are nan.
         signal: Rms of the measured rows, (C,) [N, N m].
-        residual: Rms of what the estimate leaves of them, (C,) [N, N m].
-        mean: Of what it leaves: a zero that is another than in the estimate's own recording
-            shows here, (C,) [N, N m].
-        noise: Rms of what the estimate left of its own recording, (C,) [N, N m].
-        spread: Rms of what the parameters' covariance makes of the rows, (C,) [N, N m].
-        within: Part of the rows inside the band of 95 % of noise, parameters and the doubt about
-            model errors, (C,).
-        zero_unknown: Whether the plate's zero is not known: means are then no errors.
-        errors: Of all candidates, the estimate among them; None where there are no others.
-        held: Which of them the estimate is: "plain" or "posterior".
+        residual: Rms residual, (C,) [N, N m].
+        mean: Mean residual, (C,) [N, N m]; it reveals a zero offset that changed between the
+            recordings.
+        noise: Rms residual of the estimate on its own recording, (C,) [N, N m].
+        spread: Rms error expected from the parameters' covariance and the model errors, (C,) [N, N
+            m].
+        within: Fraction of rows inside the 95 % band of noise, parameter errors and model errors,
+            (C,).
+        zero_unknown: True if the plate's zero offset is unknown, so that mean residuals are not
+            errors.
+        errors: Prediction errors of all candidate models, including the estimate; None without
+            other candidates.
+        held: Name of the estimate among the candidate models: "plain" or "posterior".
     """
 
-    method: Method
+    method: Signal
     channels: tuple[str, ...]
     units: tuple[str, ...]
     rows: tuple[int, ...]
@@ -251,15 +95,15 @@ class Validation(Diagnosed, Summarized):
     within: Array
     zero_unknown: bool = False
     errors: PredictionErrors | None = None
-    held: str = PLAIN
+    held: str = LEAST_SQUARES
 
-    __get_pydantic_core_schema__ = with_properties(
+    __get_pydantic_core_schema__ = schema_with_properties(
         "relative_residual", "ratio", "diagnostics"
     )
 
     def __post_init__(self) -> None:
         c = len(self.channels)
-        freeze(
+        freeze_arrays(
             self,
             signal=(c,),
             residual=(c,),
@@ -271,7 +115,7 @@ class Validation(Diagnosed, Summarized):
 
     @property
     def summary(self) -> SummaryTable:
-        """Residual of each channel, as a part of the signal, over what noise and sigma allow."""
+        """Table of rms residuals by channel, relative to the signal and the expected error."""
         parts = zip(
             self.residual,
             self.units,
@@ -290,7 +134,7 @@ class Validation(Diagnosed, Summarized):
             "rms residual",
             "unit",
             "of the signal",
-            "over allowed",
+            "over expected error",
             "in band",
         )
         warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
@@ -298,43 +142,51 @@ class Validation(Diagnosed, Summarized):
 
     @property
     def relative_residual(self) -> Array:
-        """Residual as part of the signal, (C,); nan where there is none."""
-        return _over(self.residual, self.signal)
+        """Ratio of rms residual to rms signal, (C,); nan for a channel without signal."""
+        return _quotient(self.residual, self.signal)
 
     @property
-    def allowed(self) -> Array:
-        """Rms that noise and covariance make together, (C,) [N, N m]."""
+    def expected_error(self) -> Array:
+        """Rms error expected from noise and parameter covariance, (C,) [N, N m]."""
         return np.hypot(self.noise, self.spread)
 
     @property
     def ratio(self) -> Array:
-        """Error over what is allowed, (C,): about one, or less."""
-        return _over(self.error, self.allowed)
+        """Ratio of error to expected error, (C,); about 1 or less for a valid estimate."""
+        return _quotient(self.error, self.expected_error)
 
     @property
     def error(self) -> Array:
-        """Residual that is the estimate's, (C,) [N, N m]: about its mean if the zero is unknown."""
+        """Rms residual, or standard deviation if the plate's zero is unknown, (C,) [N, N m]."""
         return self.scatter if self.zero_unknown else self.residual
 
     @property
     def scatter(self) -> Array:
-        """Rms of the residual about its mean, (C,) [N, N m]."""
+        """Standard deviation of the residual about its mean, (C,) [N, N m]."""
         return np.sqrt(np.maximum(self.residual**2 - self.mean**2, 0.0))
 
     @property
     def matters(self) -> tuple[bool, ...]:
-        """Whether each channel's residual is large enough to matter among like channels."""
-        return matters(self.error, self.signal, self.units)
+        """Flags of channels whose error is not negligible.
+
+        An error is negligible if it is below the fraction `NEGLIGIBLE_FRACTION` of the largest
+        signal among the channels of the same unit.
+        """
+        return non_negligible_residuals(self.error, self.signal, self.units)
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Channels that are predicted worse than by the model file, or than sigma says."""
+        """Diagnostics of channels predicted worse than by rival models, or worse than expected.
+
+        The rival models are "plain" and "refitted", if there are `errors`. An error is worse than
+        expected if it exceeds `MAX_ERROR_RATIO` times the expected error and is not negligible.
+        """
         worse: list[Diagnostic] = []
         if self.errors is not None:
             worse = [
                 d
-                for than in (PLAIN, REFITTED)
-                for d in self.errors.worse(self.held, than)
+                for rival in (LEAST_SQUARES, REFITTED)
+                for d in self.errors.worse_channels(self.held, rival)
             ]
         return (*worse, *_diagnostics(self))
 
@@ -347,38 +199,40 @@ def validate(
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
     threads: int | None = None,
-    progress: Progress = unreported,
+    progress: Progress = ignore_progress,
     models: Mapping[str, Array] | None = None,
-    held: str = PLAIN,
+    held: str = LEAST_SQUARES,
 ) -> Validation:
-    """What an estimate leaves of a recording that it has not seen.
+    """Compute an estimate's residuals on a recording that was not used to make it.
 
-    Rows are made as by `identify`: same filters, rows that count, tare and gravity. Numbers of
-    the instrument that were estimated are taken back first, but for those that are of one
-    recording only, the plate's zero and drift; nor are constants subtracted: see `mean`. Model
-    errors that the estimate names and other motions have are taken out, and their doubt allowed.
+    Rows are formed as in `identify`, with the same filters, tare and gravity. Estimated sensor
+    errors are removed first, except those of a single recording (zero and drift of the plate). No
+    mean is subtracted; see `Validation.mean`. Model errors that the estimate contains and that
+    apply to other motions are subtracted, and their variance is part of the expected error.
 
     Args:
         tree: The robot; its inertias are not used, except for `settings.zeros`.
-        recording: Another one of the same robot and instrument, as for `identify`.
-        estimate: What is to be validated.
-        gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else the
-            estimate's.
-        settings: Default those of the estimate.
-        threads: How many to use; default one a processor.
-        progress: Called with samples done and samples in all.
-        models: Values of the same unknowns by what else predicts (`Posterior.models`).
-        held: What the estimate is among them: "plain" or "posterior".
+        recording: Another recording of the same robot and sensors, as for `identify`.
+        estimate: Estimate to be validated.
+        gravity: Gravity, (3,) [m/s^2], bedplate frame; default the recording's, if present,
+            otherwise the estimate's.
+        settings: Settings of the signal processing; default those of the estimate. If joint terms
+            are to be selected, those selected in the estimate are used.
+        threads: Number of threads; default one per processor.
+        progress: Called with the numbers of processed samples and of all samples.
+        models: Parameter values of rival models (`Posterior.models`), (p,), by name; their
+            prediction errors become `Validation.errors`.
+        held: Name of the estimate among the models: "plain" or "posterior".
 
     Raises:
-        RecordingError: The recording cannot be used for the estimate's method.
-        SettingsError: Robot and settings have other parameters than the estimate.
+        RecordingError: The recording cannot be used for the estimate's signal.
+        SettingsError: Robot and settings lead to other parameters than those of the estimate.
     """
     if settings is None:
         settings = estimate.settings
     elif isinstance(estimate, Estimate):
-        settings = with_chosen_settings(settings, [estimate])
-    problem = Problem.of(
+        settings = completed_by_estimates(settings, [estimate])
+    problem = Problem.from_recording(
         tree.with_gravity(estimate.gravity),
         recording,
         estimate.method,
@@ -390,83 +244,112 @@ def validate(
     check_parameters(problem, estimate)
     source = corrected(problem.source, problem.tree, estimate.sensor_errors)
     with one_blas_thread():
-        found = _validation(problem, source, estimate)
+        validation = _validation(problem, source, estimate)
         if models:
-            errors = errors_of_another(
+            errors = errors_on_recording(
                 problem, source, {**models, held: estimate.values}
             )
-            found = replace(found, errors=errors, held=held)
-    return found
+            validation = replace(validation, errors=errors, held=held)
+    return validation
 
 
 def _validation(
     problem: Problem, source: Source, estimate: EstimateSummary
 ) -> Validation:
-    """Residuals of another recording's rows, faults of the instrument taken back."""
-    doubt = np.zeros(len(problem.channels))
-    covariance = _beside_correction(estimate)
+    """Statistics of the residuals on another recording.
+
+    Model errors in the estimate's correction, if there is one, are subtracted. The drift of joint
+    offsets is not included.
+
+    Args:
+        problem: Identification problem of the other recording.
+        source: The other recording, with sensor errors removed.
+        estimate: Estimate to be validated.
+
+    Raises:
+        RecordingError: Values are too large to be summed.
+    """
+    model_variance = np.zeros(len(problem.channels))
+    covariance = covariance_without_correction(estimate)
     if estimate.correction is not None:
-        source = WithoutModelErrors(
+        source = ModelErrorFreeSource(
             problem, source, estimate.values, estimate.correction
         )
-        doubt = source.doubt
+        model_variance = source.doubt
     passes = problem.passes(2, source, whole=True)
     equations = problem.equations(passes)
-    drifts = [name.startswith(SLOPE.kind + "/") for name in estimate.names]
+    is_drift = [name.startswith(OFFSET_DRIFT.kind + "/") for name in estimate.names]
     # the drift of offsets is one recording's
-    values = np.where(drifts, 0.0, estimate.values)
-    total, squares, within = np.zeros((3, len(problem.channels)))
-    fixed = (estimate.residual**2 + doubt)[:, None]
-    combined = np.column_stack([values, square_root(covariance)])
+    values = np.where(is_drift, 0.0, estimate.values)
+    sums, squares, in_band = np.zeros((3, len(problem.channels)))
+    fixed_variance = (estimate.residual**2 + model_variance)[:, None]
+    combined = np.column_stack([values, matrix_square_root(covariance)])
     for columns, measured in passes.rows(combined):
-        left = measured - columns[..., 0]
-        total += left.sum(axis=1)
-        squares += (left**2).sum(axis=1)
-        variance = fixed + (columns[..., 1:] ** 2).sum(axis=2)
+        residual = measured - columns[..., 0]
+        sums += residual.sum(axis=1)
+        squares += (residual**2).sum(axis=1)
+        variance = fixed_variance + (columns[..., 1:] ** 2).sum(axis=2)
         counts = columns[..., 1:].any(axis=2)
-        within += (counts & (left**2 <= LEVEL**2 * variance)).sum(axis=1)
+        in_band += (counts & (residual**2 <= Z_95_PERCENT**2 * variance)).sum(axis=1)
     used = np.where(equations.used > 0, equations.used, np.nan)
-    added = np.maximum(np.einsum("cij,ij->c", equations.normal, covariance), 0.0)
-    found = Validation(
+    squared_spread = np.maximum(
+        np.einsum("cij,ij->c", equations.normal, covariance), 0.0
+    )
+    validation = Validation(
         method=estimate.method,
         channels=equations.channels,
         units=channel_units(problem.tree, estimate.method),
         rows=tuple(int(n) for n in equations.used),
         signal=np.sqrt(equations.squares / used),
         residual=np.sqrt(squares / used),
-        mean=total / used,
+        mean=sums / used,
         noise=np.where(np.isnan(used), np.nan, estimate.residual),
-        spread=np.sqrt(added / used + doubt),
-        within=within / used,
+        spread=np.sqrt(squared_spread / used + model_variance),
+        within=in_band / used,
         zero_unknown=bool(estimate.unidentifiable),
     )
-    numbers = [found.signal, found.residual, found.mean, found.spread]
-    if not np.isfinite(numbers)[:, equations.used > 0].all():
+    statistics = [
+        validation.signal,
+        validation.residual,
+        validation.mean,
+        validation.spread,
+    ]
+    if not np.isfinite(statistics)[:, equations.used > 0].all():
         raise RecordingError(
             "the recording or the estimate holds numbers too large for sums"
         )
-    return found
+    return validation
 
 
-def _diagnostics(found: Validation) -> Iterator[Diagnostic]:
-    """Channels that are predicted worse than sigma says."""
-    # never, if the zero is unknown
-    steady = _over(found.scatter, found.allowed) <= LIMIT
-    for c, (name, ratio) in enumerate(zip(found.channels, found.ratio, strict=True)):
-        if ratio > LIMIT and found.matters[c]:
-            yield diagnose(
-                "estimate.prediction-offset" if steady[c] else "estimate.prediction",
-                channel_label(found.method, name),
+def _diagnostics(validation: Validation) -> Iterator[Diagnostic]:
+    """Yield diagnostics of channels with errors above `MAX_ERROR_RATIO` times the expected error.
+
+    Negligible errors are skipped. The code is "estimate.prediction-offset" if only the mean makes
+    the residual exceed the limit, and "estimate.prediction" otherwise.
+    """
+    # never true where the zero offset is unknown
+    is_constant = (
+        _quotient(validation.scatter, validation.expected_error) <= MAX_ERROR_RATIO
+    )
+    for c, (name, ratio) in enumerate(
+        zip(validation.channels, validation.ratio, strict=True)
+    ):
+        if ratio > MAX_ERROR_RATIO and validation.matters[c]:
+            yield make_diagnostic(
+                "estimate.prediction-offset"
+                if is_constant[c]
+                else "estimate.prediction",
+                channel_label(validation.method, name),
                 float(ratio),
-                method=found.method,
-                residual=found.residual[c],
-                allowed=found.allowed[c],
-                mean=found.mean[c],
-                unit=found.units[c],
+                method=validation.method,
+                residual=validation.residual[c],
+                expected_error=validation.expected_error[c],
+                mean=validation.mean[c],
+                unit=validation.units[c],
             )
 
 
-def _over(above: Array, below: Array) -> Array:
-    """A quotient; nan where nothing is over nothing."""
+def _quotient(numerator: Array, denominator: Array) -> Array:
+    """Quotient of two arrays; nan for zero over zero, inf for other divisions by zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return above / below
+        return numerator / denominator

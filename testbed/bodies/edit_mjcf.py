@@ -1,4 +1,4 @@
-"""Copies of an MJCF file with other inertials, friction, armatures and motors."""
+"""Copies of an MJCF file with edited inertials, friction, armatures and motors."""
 
 from __future__ import annotations
 
@@ -9,38 +9,52 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from testbed.bodies.xml_bytes import Element, XmlBytes, as_tag, comment
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import ModelError, few
-from testbed.core.robot.formats.mjcf_compile import FULL
-from testbed.core.robot.formats.mjcf_spec import commands_kept, parse
+from testbed.bodies.xml_bytes import (
+    XmlBytes,
+    XmlElement,
+    empty_element_tag,
+    xml_comment,
+)
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import ModelError, shortened_list
+from testbed.core.robot.formats.mjcf_compile import FULLINERTIA_ENTRIES
+from testbed.core.robot.formats.mjcf_spec import buffered_command_count, parse_mjcf
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.parsing import plain
-from testbed.core.robot.repair import Edit
+from testbed.core.robot.parsing import format_numbers
+from testbed.core.robot.repair import ModelEdit
 
-_TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
-"""Other ways to say an inertia's axes."""
-_LOSSES = {"frictionloss": "coulomb", "damping": "viscous", "armature": "rotor_inertia"}
+_INERTIA_AXES = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
+"""Attributes of <inertial> that `fullinertia` replaces."""
+_JOINT_FIELDS = {
+    "frictionloss": "coulomb",
+    "damping": "viscous",
+    "armature": "rotor_inertia",
+}
 
 
 def edit_mjcf(
-    path: Path, changes: Iterable[Edit], note: list[str]
+    path: Path, changes: Iterable[ModelEdit], note: list[str]
 ) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
-    """The file's bytes with other inertials, friction and armatures, once for each change.
+    """Yield a copy of an MJCF file's bytes with edited numbers for each change.
+
+    Inertials, friction, armatures and motors are edited.
 
     Args:
-        path: The file.
-        changes: Each makes another copy.
-        note: Lines of a comment that says where the numbers come from.
+        path: MJCF file.
+        changes: Changes, one for each copy.
+        note: Lines of a comment on the source of the numbers, which is inserted at the beginning of
+            the root element.
 
     Yields:
-        The bytes, and a line for what MuJoCo will make otherwise than they say.
+        Bytes of the copy, and diagnostics of masses or moments of inertia below the compiler's
+        boundmass or boundinertia, of balanceinertia, and of actuators that are not motors.
 
     Raises:
-        ModelError: The file cannot be edited: inertias are computed from geoms whatever
-            inertials say, or bodies stand in other files or are copies.
+        ModelError: The file cannot be edited, because MuJoCo computes inertias from geoms or scales
+            masses, or because bodies, joints or actuators come from other files or are generated
+            copies.
     """
-    spec = parse(path)
+    spec = parse_mjcf(path)
     if (
         spec.compiler.inertiafromgeom
         == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -55,35 +69,62 @@ def edit_mjcf(
             "file and take it out"
         )
     document = XmlBytes(path.read_bytes(), str(path))
-    world = document.root.named("worldbody")
-    places = dict(_bodies(spec.worldbody, world, path))
+    world = document.root.children_named("worldbody")
+    body_elements = dict(_body_elements(spec.worldbody, world, path))
     for change in changes:
-        document.insert(document.root, comment(note))
+        document.insert_text(document.root, xml_comment(note))
         for name, inertia in change.links.items():
-            document.put(places[name][0], "inertial", **_inertial(inertia))
-        for _, own in places.values():
-            for joint, element in own:
+            document.set_child(
+                body_elements[name][0], "inertial", **_inertial_attributes(inertia)
+            )
+        for _, joint_elements in body_elements.values():
+            for joint, element in joint_elements:
                 values = change.joints.get(joint, {})
-                said = {
-                    k: plain([values[what]])
-                    for k, what in _LOSSES.items()
-                    if what in values
+                attributes = {
+                    k: format_numbers([values[field]])
+                    for k, field in _JOINT_FIELDS.items()
+                    if field in values
                 }
-                document.set(element, **said)
-        kept = _set_motors(document, spec, change.gears, change.delay)
-        yield document.edit(), (*_changed_by_compiler(spec, change.links), *kept)
+                document.set_attributes(element, **attributes)
+        motor_diagnostics = _set_motors(
+            document, spec, change.torque_ratios, change.delay
+        )
+        yield (
+            document.apply_changes(),
+            (*_compiler_changes(spec, change.links), *motor_diagnostics),
+        )
 
 
 def _set_motors(
     document: XmlBytes, spec: mujoco.MjSpec, gears: Mapping[str, float], delay: float
 ) -> tuple[Diagnostic, ...]:
-    """Scale and delay joints' motors, add one where a joint has none; other actuators stay."""
-    kept = str(commands_kept(delay, spec.option.timestep))
-    late = (
-        {"delay": plain([delay]), "nsample": kept, "interp": "linear"} if delay else {}
+    """Scale and delay the motors of joints; add a motor to joints without an actuator.
+
+    Position servos and other actuators are not changed.
+
+    Args:
+        document: MJCF file to change.
+        spec: MuJoCo's specification of the file.
+        gears: Factors on the gears of the motors, keyed by joint; an added motor has the factor as
+            its gear. Other joints are unchanged.
+        delay: Delay from a command to its torque for the motors of these joints [s].
+
+    Returns:
+        A diagnostic of joints whose actuators are not motors; empty if there are no such joints.
+
+    Raises:
+        ModelError: Actuators come from other files or are generated copies.
+    """
+    buffer_size = str(buffered_command_count(delay, spec.option.timestep))
+    delay_attributes = (
+        {"delay": format_numbers([delay]), "nsample": buffer_size, "interp": "linear"}
+        if delay
+        else {}
     )
-    elements = [e for part in document.root.named("actuator") for e in part.children]
-    driven, others = set(), []
+    elements = [
+        e for part in document.root.children_named("actuator") for e in part.children
+    ]
+    driven_joints, other_joints = set(), []
     if gears and len(spec.actuators) != len(elements):
         raise ModelError(
             "the actuators do not stand in this file, one by one; write without gears"
@@ -94,89 +135,136 @@ def _set_motors(
         joint = actuator.target
         if actuator.trntype != mujoco.mjtTrn.mjTRN_JOINT or joint not in gears:
             continue
-        driven.add(joint)
+        driven_joints.add(joint)
         if element.tag == "motor":
             gear = [actuator.gear[0] * gears[joint], *actuator.gear[1:]]
-            document.set(element, gear=plain(gear), **late)
+            document.set_attributes(
+                element, gear=format_numbers(gear), **delay_attributes
+            )
         else:
-            others.append(joint)
+            other_joints.append(joint)
     motors = [
-        as_tag(
+        empty_element_tag(
             "motor",
-            {"name": f"drive/{joint}", "joint": joint, "gear": plain([gear]), **late},
+            {
+                "name": f"drive/{joint}",
+                "joint": joint,
+                "gear": format_numbers([gear]),
+                **delay_attributes,
+            },
         )
         for joint, gear in gears.items()
-        if joint not in driven
+        if joint not in driven_joints
     ]
     if motors:
-        document.insert(document.root, f"<actuator>{''.join(motors)}</actuator>")
-    return (diagnose("model.actuators", few(others)),) if others else ()
+        document.insert_text(document.root, f"<actuator>{''.join(motors)}</actuator>")
+    return (
+        (make_diagnostic("model.actuators", shortened_list(other_joints)),)
+        if other_joints
+        else ()
+    )
 
 
-_Joints = list[tuple[str, Element]]
+_Joints = list[tuple[str, XmlElement]]
 
 
-def _bodies(
-    body: mujoco.MjsBody, elements: list[Element], path: Path
-) -> Iterator[tuple[str, tuple[Element, _Joints]]]:
-    """By body below one, its element, and the elements of its joints."""
-    inside = [each for element in elements for each in _within(element)]
-    for own, element in zip_longest(
-        body.bodies, [e for e in inside if e.tag == "body"]
+def _body_elements(
+    body: mujoco.MjsBody, elements: list[XmlElement], path: Path
+) -> Iterator[tuple[str, tuple[XmlElement, _Joints]]]:
+    """Yield name, XML element and named joint elements of each body below a body.
+
+    Parents come before children.
+
+    Args:
+        body: Body in MuJoCo's specification.
+        elements: Elements that contain the child bodies.
+        path: MJCF file, for messages.
+
+    Raises:
+        ModelError: Bodies or joints come from other files or are generated copies.
+    """
+    child_elements = [
+        each for element in elements for each in _children_through_frames(element)
+    ]
+    for child, element in zip_longest(
+        body.bodies, [e for e in child_elements if e.tag == "body"]
     ):
         if (
-            own is None
+            child is None
             or element is None
-            or element.attributes.get("name", own.name) != own.name
+            or element.attributes.get("name", child.name) != child.name
         ):
             raise ModelError(
                 f"{path}: the bodies in '{body.name}' are not those that stand in this file, one "
                 "by one: <include>, <attach>, <replicate> or the like makes them; write into a "
                 "file that holds them itself"
             )
-        joints = [e for e in _within(element) if e.tag in ("joint", "freejoint")]
-        if len(joints) != len(own.joints):
+        joints = [
+            e
+            for e in _children_through_frames(element)
+            if e.tag in ("joint", "freejoint")
+        ]
+        if len(joints) != len(child.joints):
             raise ModelError(
-                f"{path}: the joints of body '{own.name}' do not stand in this file"
+                f"{path}: the joints of body '{child.name}' do not stand in this file"
             )
         yield (
-            own.name,
-            (element, list(zip((j.name for j in own.joints), joints, strict=True))),
+            child.name,
+            (element, list(zip((j.name for j in child.joints), joints, strict=True))),
         )
-        yield from _bodies(own, [element], path)
+        yield from _body_elements(child, [element], path)
 
 
-def _within(element: Element) -> Iterator[Element]:
-    """What stands in a body, frames being no bodies."""
+def _children_through_frames(element: XmlElement) -> Iterator[XmlElement]:
+    """Child elements of a body, including children of <frame> elements."""
     for child in element.children:
         if child.tag == "frame":
-            yield from _within(child)
+            yield from _children_through_frames(child)
         else:
             yield child
 
 
-def _inertial(inertia: Inertia) -> dict[str, str | None]:
-    """The mass centre, the mass, and the inertia about it, along the body's axes."""
-    central, others = inertia.central, dict.fromkeys(("fullinertia", *_TURNS))
-    said = {"pos": plain(inertia.com), "mass": plain([inertia.mass]), **others}
+def _inertial_attributes(inertia: Inertia) -> dict[str, str | None]:
+    """Attributes of <inertial>: centre of mass, mass, and central inertia in the body's axes.
+
+    Attributes of other representations of the inertia are None, so that they are removed.
+    """
+    central, others = inertia.central, dict.fromkeys(("fullinertia", *_INERTIA_AXES))
+    attributes = {
+        "pos": format_numbers(inertia.com),
+        "mass": format_numbers([inertia.mass]),
+        **others,
+    }
     if central.any():
-        return said | {"fullinertia": plain(central[at] for at in FULL)}
-    return said | {"diaginertia": "0 0 0"}  # MuJoCo takes no full inertia that is zero
+        return attributes | {
+            "fullinertia": format_numbers(central[at] for at in FULLINERTIA_ENTRIES)
+        }
+    return attributes | {
+        "diaginertia": "0 0 0"
+    }  # MuJoCo rejects a fullinertia of zeros
 
 
-def _changed_by_compiler(
+def _compiler_changes(
     spec: mujoco.MjSpec, links: Mapping[str, Inertia]
 ) -> Iterator[Diagnostic]:
-    """Settings of the file's compiler that make other bodies of those that are written."""
+    """Diagnostics of compiler settings that affect the written masses or inertias.
+
+    Reported are masses below boundmass and principal moments of inertia below boundinertia, which
+    MuJoCo increases, and balanceinertia, which no longer has an effect.
+    """
     compiler = spec.compiler
-    masses = {name: own.mass for name, own in links.items()}
-    moments = {name: np.linalg.eigvalsh(own.central)[0] for name, own in links.items()}
-    for setting, least, values in (
+    masses = {name: inertia.mass for name, inertia in links.items()}
+    moments = {
+        name: np.linalg.eigvalsh(inertia.central)[0] for name, inertia in links.items()
+    }
+    for setting, bound, values in (
         ("boundmass", compiler.boundmass, masses),
         ("boundinertia", compiler.boundinertia, moments),
     ):
-        light = [name for name, value in values.items() if value < least]
-        if light:
-            yield diagnose("model.compiler-bound", few(light), least, setting=setting)
+        names = [name for name, value in values.items() if value < bound]
+        if names:
+            yield make_diagnostic(
+                "model.compiler-bound", shortened_list(names), bound, setting=setting
+            )
     if compiler.balanceinertia:
-        yield diagnose("model.balance")
+        yield make_diagnostic("model.balance")

@@ -1,83 +1,109 @@
-"""Copies of a URDF file with other inertials and friction."""
+"""Copies of a URDF file with edited inertials and joint friction."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from testbed.bodies.xml_bytes import Element, XmlBytes, as_tag, comment
-from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.bodies.xml_bytes import (
+    XmlBytes,
+    XmlElement,
+    empty_element_tag,
+    xml_comment,
+)
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
 from testbed.core.base.errors import ModelError
-from testbed.core.robot.formats.urdf_xml import TENSOR
+from testbed.core.robot.formats.urdf_xml import TENSOR_INDICES
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.parsing import plain
-from testbed.core.robot.repair import Edit
+from testbed.core.robot.parsing import format_numbers
+from testbed.core.robot.repair import ModelEdit
 
-_LOSSES = {"friction": "coulomb", "damping": "viscous"}
-"""What a joint's <dynamics> states, by attribute."""
+_DYNAMICS_FIELDS = {"friction": "coulomb", "damping": "viscous"}
+"""Field of a joint by attribute of its <dynamics> element."""
 
 
 def edit_urdf(
-    path: Path, changes: Iterable[Edit], note: list[str]
+    path: Path, changes: Iterable[ModelEdit], note: list[str]
 ) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
-    """The file's bytes with other inertials and friction; arguments are those of `edit_mjcf`.
+    """Yield a copy of a URDF file's bytes with edited numbers for each change.
+
+    Inertials and joint friction are edited.
+
+    Args:
+        path: URDF file.
+        changes: Changes, one for each copy.
+        note: Lines of a comment on the source of the numbers, which is inserted at the beginning of
+            the root element.
 
     Yields:
-        The bytes, and what URDF has no place for.
+        Bytes of the copy, and diagnostics of values that URDF cannot express: rotor inertias,
+        torque ratios and the drives' delay.
 
     Raises:
-        ModelError: The file cannot be edited; or a link has more than one inertial.
+        ModelError: The file is not XML or has a DOCTYPE, or a link has more than one inertial.
     """
     document = XmlBytes(path.read_bytes(), str(path))
     root = document.root
-    elements = {each.attributes.get("name", ""): each for each in root.named("link")}
-    jointed = {each.attributes.get("name", ""): each for each in root.named("joint")}
+    elements = {
+        each.attributes.get("name", ""): each for each in root.children_named("link")
+    }
+    joints = {
+        each.attributes.get("name", ""): each for each in root.children_named("joint")
+    }
     for change in changes:
-        document.insert(root, comment(note))
+        document.insert_text(root, xml_comment(note))
         for link, inertia in change.links.items():
             _set_inertial(document, elements[link], inertia, path)
         for joint, values in change.joints.items():
-            said = {
-                k: plain([values[what]])
-                for k, what in _LOSSES.items()
-                if what in values
+            attributes = {
+                k: format_numbers([values[field]])
+                for k, field in _DYNAMICS_FIELDS.items()
+                if field in values
             }
-            if said:
-                document.put(jointed[joint], "dynamics", **said)
+            if attributes:
+                document.set_child(joints[joint], "dynamics", **attributes)
         rotors = [
             f"{joint} {values['rotor_inertia']:.6g}"
             for joint, values in change.joints.items()
             if "rotor_inertia" in values
         ]
-        lost = [diagnose("model.rotors", ", ".join(rotors))] if rotors else []
-        if change.gears:
+        losses = [make_diagnostic("model.rotors", ", ".join(rotors))] if rotors else []
+        if change.torque_ratios:
             gears = ", ".join(
-                f"{joint} {gear:.6g}" for joint, gear in change.gears.items()
+                f"{joint} {gear:.6g}" for joint, gear in change.torque_ratios.items()
             )
-            lost.append(diagnose("model.gears", gears))
+            losses.append(make_diagnostic("model.gears", gears))
         if change.delay:
-            lost.append(diagnose("model.delay", f"{change.delay:.4g} s"))
-        yield document.edit(), tuple(lost)
+            losses.append(make_diagnostic("model.delay", f"{change.delay:.4g} s"))
+        yield document.apply_changes(), tuple(losses)
 
 
 def _set_inertial(
-    document: XmlBytes, link: Element, inertia: Inertia, path: Path
+    document: XmlBytes, link: XmlElement, inertia: Inertia, path: Path
 ) -> None:
-    """The mass centre, the mass, and the inertia about it, along the link's axes."""
+    """Set a link's <inertial>: centre of mass, mass, and central inertia in the link's axes.
+
+    Raises:
+        ModelError: The link has more than one inertial.
+    """
     central = inertia.central
     parts = {
-        "origin": {"xyz": plain(inertia.com), "rpy": "0 0 0"},
-        "mass": {"value": plain([inertia.mass])},
-        "inertia": {key: plain([central[at]]) for key, at in TENSOR.items()},
+        "origin": {"xyz": format_numbers(inertia.com), "rpy": "0 0 0"},
+        "mass": {"value": format_numbers([inertia.mass])},
+        "inertia": {
+            key: format_numbers([central[at]]) for key, at in TENSOR_INDICES.items()
+        },
     }
-    there = link.named("inertial")
-    if len(there) > 1:
+    inertials = link.children_named("inertial")
+    if len(inertials) > 1:
         raise ModelError(
             f"{path}: link '{link.attributes.get('name')}' has two inertials"
         )
-    if there:
+    if inertials:
         for part, values in parts.items():
-            document.put(there[0], part, **values)
+            document.set_child(inertials[0], part, **values)
     else:
-        inside = "".join(as_tag(part, values) for part, values in parts.items())
-        document.insert(link, f"<inertial>{inside}</inertial>")
+        content = "".join(
+            empty_element_tag(part, values) for part, values in parts.items()
+        )
+        document.insert_text(link, f"<inertial>{content}</inertial>")

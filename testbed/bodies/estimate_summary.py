@@ -1,4 +1,4 @@
-"""Estimates without their data: their structure again, and problems of the same parameters."""
+"""Estimates rebuilt from summaries, and checks of their parameters against a problem."""
 
 from __future__ import annotations
 
@@ -6,60 +6,70 @@ from dataclasses import fields
 
 import numpy as np
 
-from testbed.core.base.errors import SettingsError, components, few, plural
-from testbed.core.dynamics.drive_set import drive_set
+from testbed.core.base.errors import (
+    SettingsError,
+    count_with_noun,
+    shortened_list,
+    vector_text,
+)
+from testbed.core.dynamics.drive_set import make_drive_set
 from testbed.core.estimation.estimate import (
     Estimate,
     EstimateSummary,
+    channel_names,
     channel_units,
-    channels_of,
 )
-from testbed.core.estimation.problem import Problem, set_of
+from testbed.core.estimation.problem import Problem, method_minimal_set
 from testbed.core.estimation.regression.normal_equations import NormalEquations
 from testbed.core.robot.tree import Tree
 
 
-def estimate_of_summary(tree: Tree, said: EstimateSummary) -> Estimate:
-    """An estimate with its structure again, but without the sums that it was made from.
+def estimate_of_summary(tree: Tree, summary: EstimateSummary) -> Estimate:
+    """Estimate rebuilt from a summary, with minimal set and joint terms but without data.
+
+    Values, covariance and residuals are those of the summary. Normal equations and numbers of rows
+    are zero; condition number and relative residuals are nan.
 
     Args:
-        tree: The robot.
-        said: The estimate; its settings say zeros and terms.
+        tree: Robot; its gravity is replaced by that of the summary.
+        summary: Summary of the estimate; its settings contain known zeros and joint terms.
 
     Raises:
-        SettingsError: It is of other parameters.
+        SettingsError: The summary's parameters differ from those of the robot.
     """
-    tree, p = tree.with_gravity(said.gravity), len(said.names)
-    minimal = set_of(tree, said.method, said.settings)
+    tree, parameter_count = tree.with_gravity(summary.gravity), len(summary.names)
+    minimal = method_minimal_set(tree, summary.method, summary.settings)
     drives = (
-        drive_set(tree, minimal, said.settings.words)
-        if said.method == "internal"
+        make_drive_set(tree, minimal, summary.settings.words)
+        if summary.method == "torque"
         else None
     )
-    known = minimal if drives is None else drives
-    if known.names != said.names:
+    parameters = minimal if drives is None else drives
+    if parameters.names != summary.names:
         raise SettingsError(
-            f"the {said.method} estimate is of other parameters than this robot's"
+            f"the {summary.method} estimate is of other parameters than this robot's"
         )
-    channels = channels_of(tree, said.method)
-    c = len(channels)
-    none = NormalEquations(
-        said.names,
+    channels = channel_names(tree, summary.method)
+    channel_count = len(channels)
+    no_equations = NormalEquations(
+        summary.names,
         channels,
-        np.zeros(c),
-        np.zeros((c, p, p)),
-        np.zeros((c, p)),
-        np.zeros(c),
+        np.zeros(channel_count),
+        np.zeros((channel_count, parameter_count, parameter_count)),
+        np.zeros((channel_count, parameter_count)),
+        np.zeros(channel_count),
     )
-    stated = {each.name: getattr(said, each.name) for each in fields(EstimateSummary)}
+    values = {
+        each.name: getattr(summary, each.name) for each in fields(EstimateSummary)
+    }
     return Estimate(
-        **stated,
+        **values,
         channels=channels,
-        channel_units=channel_units(tree, said.method),
-        relative_residual=np.full(c, np.nan),
-        samples=(0,) * c,
+        channel_units=channel_units(tree, summary.method),
+        relative_residual=np.full(channel_count, np.nan),
+        samples=(0,) * channel_count,
         condition=np.nan,
-        normal_equations=none,
+        normal_equations=no_equations,
         diagnostics=(),
         minimal=minimal,
         drives=drives,
@@ -67,35 +77,43 @@ def estimate_of_summary(tree: Tree, said: EstimateSummary) -> Estimate:
     )
 
 
-def check_parameters(problem: Problem, said: EstimateSummary) -> None:
-    """Whether an estimate is of a problem's parameters.
+def check_parameters(problem: Problem, summary: EstimateSummary) -> None:
+    """Check that an estimate has the parameters and channels of a problem.
 
     Args:
-        problem: Another recording of the robot.
-        said: The estimate.
+        problem: Problem of another recording of the robot.
+        summary: Summary of the estimate.
 
     Raises:
-        SettingsError: It is of other parameters, or was made under another gravity.
+        SettingsError: The gravity of the recording leads to a different minimal set, or the names
+            or order of the parameters or the number of channels differ.
     """
     tree, minimal, names = problem.tree, problem.minimal, problem.names
-    then = set_of(tree.with_gravity(said.gravity), said.method, problem.settings)
-    if not (minimal.count == then.count and np.allclose(minimal.matrix, then.matrix)):
+    estimate_set = method_minimal_set(
+        tree.with_gravity(summary.gravity), summary.method, problem.settings
+    )
+    if not (
+        minimal.count == estimate_set.count
+        and np.allclose(minimal.matrix, estimate_set.matrix)
+    ):
         raise SettingsError(
-            f"the estimate was made under gravity {components(said.gravity)}, the recording has "
-            f"{components(tree.gravity)} m/s^2: other combinations of parameters count there"
+            f"the estimate was made under gravity {vector_text(summary.gravity)}, "
+            "the recording has "
+            f"{vector_text(tree.gravity)} m/s^2: other combinations of parameters count there"
         )
-    if names != said.names:
-        extra = [name for name in said.names if name not in names]
-        lacking = [name for name in names if name not in said.names]
-        phrases = [f"{few(extra)} are not among them"] if extra else []
-        phrases += [f"it lacks {few(lacking)}"] if lacking else []
+    if names != summary.names:
+        extra = [name for name in summary.names if name not in names]
+        missing = [name for name in names if name not in summary.names]
+        phrases = [f"{shortened_list(extra)} are not among them"] if extra else []
+        phrases += [f"it lacks {shortened_list(missing)}"] if missing else []
         raise SettingsError(
-            f"the {said.method} estimate is not of this robot's parameters under these settings: "
+            f"the {summary.method} estimate is not of this robot's parameters "
+            "under these settings: "
             f"{', and '.join(phrases) or 'they are in another order'}"
         )
-    if len(said.residual) != len(problem.channels):
+    if len(summary.residual) != len(problem.channels):
         raise SettingsError(
-            f"the {said.method} estimate has residuals of "
-            f"{plural(len(said.residual), 'channel')}, the "
+            f"the {summary.method} estimate has residuals of "
+            f"{count_with_noun(len(summary.residual), 'channel')}, the "
             f"robot has {len(problem.channels)}"
         )

@@ -1,4 +1,4 @@
-"""The model file's bodies and the joints' own terms as a linear prior, and fits with it."""
+"""Gaussian prior of bodies and joint terms from the model file, and regularised fits."""
 
 from __future__ import annotations
 
@@ -7,231 +7,295 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.bodies.prior import Prior
+from testbed.bodies.prior import PriorBodies
 from testbed.bodies.row_products import RowProducts
 from testbed.core.base.arrays import Array
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.constraints import CENTRE, MASS, facts
-from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
-from testbed.core.parameters.pseudo_inertia import matrices, parameters
+from testbed.core.estimation.regression.constraints import (
+    CENTRE_OF_MASS_PREFIX,
+    TOTAL_MASS,
+    known_value_constraints,
+)
+from testbed.core.estimation.regression.normal_equations import (
+    SMALLEST_POSITIVE,
+    NormalEquations,
+)
+from testbed.core.parameters.pseudo_inertia import parameters, pseudo_inertias
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.rigid_matter import SMALL, nearest_body
+from testbed.core.robot.rigid_matter import (
+    POINT_MASS_RADIUS_RATIO,
+    nearest_consistent_inertia,
+)
 
-DETERMINED = 0.9
-"""Share of the prior's variance that the data remove of a parameter that they determine."""
+MIN_DETERMINED_SHARE = 0.9
+"""Smallest share of the prior variance that the data remove of a parameter they determine."""
 
-WIDE = 1e3
-"""Times a prior that is none, nearly."""
+UNINFORMATIVE_FACTOR = 1e3
+"""Factor on the prior's root that makes the prior nearly uninformative."""
 
-ROUNDS = 6
-"""Times that the noise of the channels is estimated anew."""
+NOISE_ITERATIONS = 6
+"""Number of fits, each with the noise variances of the residuals before."""
 
-REPEATED = 2.0
-"""Rows that say as much as one: the filter on rows leaves half of them independent."""
+ROWS_PER_INDEPENDENT_ROW = 2.0
+"""Number of filtered rows that carry the information of one independent row."""
 
-FEWEST = 0.1
-"""Part of a channel's rows that parameters leave at least to estimate its noise."""
+MIN_FREEDOM_RATIO = 0.1
+"""Smallest degrees of freedom of a channel's residuals, relative to its number of rows."""
 
-LEAST = 0.1
-"""Part of what the model file with its friction fitted leaves that noise is at least."""
+MIN_NOISE_RATIO = 0.1
+"""Smallest noise, relative to the rms residual of the model file with fitted friction."""
 
-DOUBTFUL = 3.0
-"""Error of a placeholder in errors of other bodies."""
+PLACEHOLDER_ERROR = 3.0
+"""Relative error of placeholder bodies over that of other bodies."""
 
-ROUNDEST = 0.05
-"""Share of a body's greatest second moment that the others have at least, of the body by whose size
-uncertainty is measured: the centre of a slender link may lie beside its axis."""
+MIN_MOMENT_RATIO = 0.05
+"""Smallest ratio of a body's principal second moments where they scale the prior's uncertainty: the
+centre of mass of a slender link may lie beside its axis."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearPrior:
-    """Unknowns before the data: mean + root z, z of independent numbers of variance one.
+    """Gaussian prior of the unknowns, `mean + root z` with standard normal z.
 
     Attributes:
-        mean: (p,).
-        root: (p, r), those of the bodies first.
-        bodies: How many of z are of bodies.
-        noise: Variance of each channel's noise at least, (C,) [N^2, N^2 m^2]; infinite where rows
-            are too few: they count for nothing.
-        least: Of z, (r,): friction is not negative; -inf for no bound.
+        mean: Prior mean of the unknowns, (p,).
+        root: Root of the prior covariance root root', (p, r); the columns of the bodies come first.
+        body_coordinate_count: Number of coordinates z that belong to bodies, ten per body.
+        min_noise_variance: Smallest noise variance of each of the C channels, (C,) [N^2, N^2 m^2];
+            infinite for channels with too few rows, which are ignored.
+        lower_bounds: Lower bounds of z, (r,), which keep friction from becoming negative; -inf
+            where there is no bound.
     """
 
     mean: Array
     root: Array
-    bodies: int
-    noise: Array
-    least: Array
+    body_coordinate_count: int
+    min_noise_variance: Array
+    lower_bounds: Array
 
     @property
     def variance(self) -> Array:
         """Variances of the unknowns, (p,)."""
         return np.asarray((self.root**2).sum(axis=1))
 
-    def scale(self, error: float) -> Array:
-        """Standard deviations of z, (r,), where the bodies have another error than one.
+    def coordinate_sigmas(self, error: float) -> Array:
+        """Standard deviations of z for another relative error of the bodies, (r,).
+
+        They are `error` for the coordinates of bodies and one for all other coordinates.
 
         Args:
             error: Relative error of the bodies.
         """
-        return np.where(np.arange(self.root.shape[1]) < self.bodies, error, 1.0)
+        return np.where(
+            np.arange(self.root.shape[1]) < self.body_coordinate_count, error, 1.0
+        )
 
-    def times(self, error: float) -> LinearPrior:
-        """The same prior with another error of the bodies.
+    def with_error_factor(self, error: float) -> LinearPrior:
+        """Prior with the relative error of the bodies multiplied by a factor.
 
         Args:
-            error: Over the one that it has.
+            error: Factor on the relative error of the bodies.
         """
-        return replace(self, root=self.scale(error) * self.root)
+        return replace(self, root=self.coordinate_sigmas(error) * self.root)
 
 
-def linear_prior(problem: Problem, prior: Prior, rows: RowProducts) -> LinearPrior:
-    """Gaussian prior of the unknowns by the model file; joint terms are nearly free.
+def linear_prior(
+    problem: Problem, prior: PriorBodies, rows: RowProducts
+) -> LinearPrior:
+    """Gaussian prior of the unknowns from the model file, with nearly free joint terms.
 
-    Bodies have a relative error of one. Friction is about zero and as wide as the torques: files
-    state it by guess. Where rows are too few, friction of the file stands that is no placeholder,
-    uncertain by itself.
+    The relative error is one for bodies and three for bodies with placeholder numbers. Because the
+    joint terms in files are often guesses, a joint term has mean zero and a sigma for which the
+    term alone would explain the rms torque. If no channel with enough rows excites a term, the
+    value in the file is its sigma and, unless that value is a placeholder, also its mean. In wrench
+    problems, the prior is conditioned on the values of `Settings.known`.
 
     Args:
-        problem: Says which unknowns.
-        prior: The file's bodies.
+        problem: Problem with the unknowns.
+        prior: Bodies of the model file.
         rows: Products of all rows.
     """
     bodies, count = problem.minimal.standard_matrix, problem.minimal.count
     width = np.ones((problem.tree.n, 10))
-    width[list(prior.placeholders.bodies)] = DOUBTFUL
+    width[list(prior.placeholders.bodies)] = PLACEHOLDER_ERROR
     mean, root = _terms_prior(problem, prior, rows)
     mean[:count] += bodies @ prior.standard.ravel()
-    of_bodies = np.zeros((len(mean), 10 * problem.tree.n))
-    of_bodies[:count] = bodies @ (width.ravel() * _thickened(prior).root)
-    root = np.hstack([of_bodies, root])
-    floor = np.full(len(rows.channels), TINY)
-    before = LinearPrior(
-        mean, root, bodies.shape[1], floor, _bounds(problem, mean, root)
+    body_root = np.zeros((len(mean), 10 * problem.tree.n))
+    body_root[:count] = bodies @ (
+        width.ravel() * _with_bounded_slenderness(prior).standard_from_coordinates
     )
-    before = _with_facts(problem, before)
-    left = refitted(rows, before)
+    root = np.hstack([body_root, root])
+    noise_floor = np.full(len(rows.channels), SMALLEST_POSITIVE)
+    linear = LinearPrior(
+        mean, root, bodies.shape[1], noise_floor, _lower_bounds(problem, mean, root)
+    )
+    linear = _conditioned_on_facts(problem, linear)
+    values = file_with_fitted_terms(rows, linear)
     noise = (
-        LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
+        MIN_NOISE_RATIO**2
+        * rows.residual_squares(values, rows.mean_residuals(values))
+        / np.maximum(rows.rows, 1.0)
     )
     return replace(
-        before, noise=np.where(rows.enough, np.maximum(noise, floor), np.inf)
+        linear,
+        min_noise_variance=np.where(
+            rows.has_enough_rows, np.maximum(noise, noise_floor), np.inf
+        ),
     )
 
 
-def bodies_prior(problem: Problem, prior: Prior, error: float) -> Gaussian:
-    """Minimal parameters of bodies by the model file, before any data.
+def bodies_prior(problem: Problem, prior: PriorBodies, error: float) -> Gaussian:
+    """Gaussian prior of the bodies' minimal parameters from the model file.
 
     Args:
-        problem: Says which parameters.
-        prior: The file's bodies.
-        error: Their relative error.
+        problem: Problem with the minimal parameters.
+        prior: Bodies of the model file.
+        error: Relative error of the bodies; three times as large for placeholder bodies.
     """
     minimal = problem.minimal
     width = np.ones((problem.tree.n, 10))
-    width[list(prior.placeholders.bodies)] = DOUBTFUL
-    root = error * minimal.standard_matrix @ (width.ravel() * _thickened(prior).root)
+    width[list(prior.placeholders.bodies)] = PLACEHOLDER_ERROR
+    root = (
+        error
+        * minimal.standard_matrix
+        @ (width.ravel() * _with_bounded_slenderness(prior).standard_from_coordinates)
+    )
     mean = minimal.standard_matrix @ prior.standard.ravel()
     return Gaussian(minimal.names, minimal.units, mean, root @ root.T)
 
 
 def _terms_prior(
-    problem: Problem, prior: Prior, rows: RowProducts
+    problem: Problem, prior: PriorBodies, rows: RowProducts
 ) -> tuple[Array, Array]:
-    """Mean, (p,), and root of the covariance, (p, k), of the k joint terms."""
-    drives, none = problem.drives, np.zeros(len(problem.names))
+    """Prior mean, (p,), and root of the prior covariance, (p, k), of k joint terms.
+
+    For an excited term, the mean is zero and sigma is the ratio of the rms torque to the rms of the
+    term's regressor column, in the channel where this column is largest. For other terms, sigma is
+    the value in the file, which is also the mean unless it is a placeholder.
+    """
+    drives, zeros = problem.drives, np.zeros(len(problem.names))
     if drives is None:
-        return none, np.zeros((len(none), 0))
-    equations = rows.equations(drives.columns, none)
-    squares = np.einsum("cii->ci", equations.normal) * rows.enough[:, None]
-    channel = squares.argmax(axis=0)  # where each term shows most
-    most = squares[channel, np.arange(len(channel))]
-    seen = most > 0
-    scale = np.sqrt(equations.squares[channel] / np.where(seen, most, np.inf))
+        return zeros, np.zeros((len(zeros), 0))
+    equations = rows.equations(drives.columns, zeros)
+    column_squares = (
+        np.einsum("cii->ci", equations.normal) * rows.has_enough_rows[:, None]
+    )
+    channel = column_squares.argmax(
+        axis=0
+    )  # channel with the largest signal of each term
+    excitation = column_squares[channel, np.arange(len(channel))]
+    is_excited = excitation > 0
+    scale = np.sqrt(
+        equations.squares[channel] / np.where(is_excited, excitation, np.inf)
+    )
     stated = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
-    doubtful = [
+    is_placeholder = [
         each.law.parameter in prior.placeholders.friction for each in drives.asked
     ]
-    believed = drives.columns[:, ~seen].any(axis=1)
-    believed &= ~drives.columns[:, doubtful].any(axis=1)
-    own = np.where(seen, scale, np.abs(drives.columns.T @ stated))
-    return np.where(believed, stated, 0.0), drives.columns * own
+    is_as_stated = drives.columns[:, ~is_excited].any(axis=1)
+    is_as_stated &= ~drives.columns[:, is_placeholder].any(axis=1)
+    sigma = np.where(is_excited, scale, np.abs(drives.columns.T @ stated))
+    return np.where(is_as_stated, stated, 0.0), drives.columns * sigma
 
 
-def _thickened(prior: Prior) -> Prior:
-    """Prior with bodies whose second moments are at least ROUNDEST of their greatest one."""
+def _with_bounded_slenderness(prior: PriorBodies) -> PriorBodies:
+    """Prior with lower bounds on the bodies' principal second moments.
+
+    The bound is `MIN_MOMENT_RATIO` times the largest principal second moment of the body.
+    """
     bodies = np.array(prior.standard)
-    for k in prior.massive:
-        body = Inertia.of_pseudo(matrices(bodies[k]))
-        bodies[k] = parameters(nearest_body(body, ROUNDEST, body.mass, SMALL).pseudo)
+    for k in prior.massive_bodies:
+        body = Inertia.of_pseudo(pseudo_inertias(bodies[k]))
+        bodies[k] = parameters(
+            nearest_consistent_inertia(
+                body, MIN_MOMENT_RATIO, body.mass, POINT_MASS_RADIUS_RATIO
+            ).pseudo
+        )
     return replace(prior, standard=bodies)
 
 
-def _with_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
-    """The same where something of the bodies is known (`Settings.known`), by the plate.
+def _conditioned_on_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
+    """Prior of a wrench problem conditioned on the known values in `Settings.known`.
 
-    It is as uncertain as it is said to be, whatever the error of the bodies.
+    The known values are masses, centres of mass and parameters. Their uncertainty is the stated
+    uncertainty, whatever the relative error of the bodies. The priors of other problems are
+    returned unchanged.
     """
-    names = {MASS, *problem.names}
-    given = {
+    names = {TOTAL_MASS, *problem.names}
+    given_facts = {
         k: v
         for k, v in problem.settings.facts.items()
-        if k in names or k.startswith(CENTRE)
+        if k in names or k.startswith(CENTRE_OF_MASS_PREFIX)
     }
-    if problem.method != "external" or not given:
+    if problem.method != "wrench" or not given_facts:
         return prior
-    known = facts(problem.tree, problem.minimal, problem.names, (), given).around(
-        prior.mean
-    )
+    known = known_value_constraints(
+        problem.tree, problem.minimal, problem.names, (), given_facts
+    ).on_corrections(prior.mean)
     rows = known.rows @ prior.root
     gain = np.linalg.solve(rows @ rows.T, rows).T
-    added = prior.root @ gain
+    parameter_gain = prior.root @ gain
     return replace(
         prior,
-        mean=prior.mean + added @ known.values,
+        mean=prior.mean + parameter_gain @ known.values,
         root=np.hstack(
-            [prior.root - added @ rows, added @ known.doubt(np.zeros(len(added)))]
+            [
+                prior.root - parameter_gain @ rows,
+                parameter_gain @ known.covariance_root(np.zeros(len(parameter_gain))),
+            ]
         ),
-        least=np.append(prior.least, np.full(len(given), -np.inf)),
+        lower_bounds=np.append(prior.lower_bounds, np.full(len(given_facts), -np.inf)),
     )
 
 
-def _bounds(problem: Problem, mean: Array, root: Array) -> Array:
-    """Least coordinates, (r,), of mean + root z without negative friction."""
+def _lower_bounds(problem: Problem, mean: Array, root: Array) -> Array:
+    """Lower bounds of z, (r,), at which friction in mean + root z is zero.
+
+    The bound is -inf for coordinates of bodies, of terms that are not dissipative, and of friction
+    that is part of a coefficient together with terms of other shafts.
+
+    Args:
+        problem: Problem with the unknowns.
+        mean: Prior mean of the unknowns, (p,).
+        root: Root of the prior covariance, (p, r).
+    """
     least = np.full(root.shape[1], -np.inf)
     terms = () if problem.drives is None else problem.drives.terms
     for k, term in enumerate(terms, start=problem.minimal.count):
-        (own,) = np.nonzero(root[k])
-        # else it is a sum with terms of other shafts
-        if term.law.resists and len(own) == 1:
-            least[own] = -mean[k] / root[k, own]
+        (coordinates,) = np.nonzero(root[k])
+        # otherwise the coefficient is a sum with terms of other shafts
+        if term.law.dissipative and len(coordinates) == 1:
+            least[coordinates] = -mean[k] / root[k, coordinates]
     return least
 
 
-def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
-    """Least squares with a prior, under noise that its own residuals show.
+def fit_with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
+    """Least squares with a prior, with noise variances estimated from the residuals.
 
-    Friction that would drive the motion is zero.
+    Friction coefficients are not negative (`LinearPrior.lower_bounds`).
 
     Args:
         rows: Products of the rows that are used.
-        prior: Of the unknowns.
+        prior: Prior of the unknowns.
 
     Returns:
-        Values, (p,), and their covariance, (p, p): that without the bounds of friction.
+        Values of the unknowns, (p,), and their covariance if friction had no bounds, (p, p).
     """
-    fit = fit_of_noise(rows.equations(prior.root, prior.mean), prior, rows.enough)
+    fit = fit_with_estimated_noise(
+        rows.equations(prior.root, prior.mean), prior, rows.has_enough_rows
+    )
     return prior.mean + prior.root @ fit.z, prior.root @ fit.covariance @ prior.root.T
 
 
 @dataclass(frozen=True, eq=False)
 class PriorFit:
-    """Posterior mean and covariance of a Gaussian prior's coordinates z, without units.
+    """Posterior mode and covariance of the dimensionless coordinates z of a Gaussian prior.
 
     Attributes:
         z: Estimate, (r,).
-        covariance: Covariance of z without the bounds of friction, (r, r).
-        noise: Variance of each channel's noise, (C,) [N^2, N^2 m^2].
+        covariance: Covariance of z if friction had no bounds, (r, r).
+        noise: Noise variance of each of the C channels, (C,) [N^2, N^2 m^2].
     """
 
     z: Array
@@ -239,93 +303,123 @@ class PriorFit:
     noise: Array
 
 
-def fit_of_noise(
-    equations: NormalEquations, prior: LinearPrior, enough: NDArray[np.bool_]
+def fit_with_estimated_noise(
+    equations: NormalEquations, prior: LinearPrior, has_enough_rows: NDArray[np.bool_]
 ) -> PriorFit:
-    """Fit under the noise that its own residuals show, channel by channel.
+    """Posterior of z with the noise variance of each channel estimated from the residuals.
+
+    Fit and noise variances are computed in turn, as in iteratively reweighted least squares, with
+    `NOISE_ITERATIONS` (6) fits. For a channel with too few rows, the noise variance is at least the
+    mean square deviation of the measurement from the prediction of the prior mean.
 
     Args:
         equations: Normal equations in z.
-        prior: Prior of z, with the least noise and the bounds.
-        enough: Whether the rows of a channel show its noise, (C,).
+        prior: Prior of z, with the smallest noise variances and the lower bounds.
+        has_enough_rows: True for channels with enough rows to estimate the noise, (C,).
     """
     used = np.maximum(equations.used, 1.0)
-    noise = np.maximum(equations.squares / used, prior.noise)
-    floor = np.where(enough, prior.noise, noise)  # few rows show no noise
-    fit = fit_with_noise(equations, noise, prior.least)
-    for _ in range(ROUNDS - 1):
-        lost = np.einsum("cij,ji->c", equations.normal, fit.covariance) / noise
-        left = equations.residual(fit.z) / np.maximum(used - lost, FEWEST * used)
-        noise = np.maximum(left, floor)
-        fit = fit_with_noise(equations, noise, prior.least)
+    noise = np.maximum(equations.squares / used, prior.min_noise_variance)
+    floor = np.where(
+        has_enough_rows, prior.min_noise_variance, noise
+    )  # few rows do not determine the noise
+    fit = fit_with_noise(equations, noise, prior.lower_bounds)
+    for _ in range(NOISE_ITERATIONS - 1):
+        parameter_freedom = (
+            np.einsum("cij,ji->c", equations.normal, fit.covariance) / noise
+        )
+        variance = equations.residual(fit.z) / np.maximum(
+            used - parameter_freedom, MIN_FREEDOM_RATIO * used
+        )
+        noise = np.maximum(variance, floor)
+        fit = fit_with_noise(equations, noise, prior.lower_bounds)
     return fit
 
 
-def fit_with_noise(equations: NormalEquations, noise: Array, least: Array) -> PriorFit:
-    """Fit under given noise.
+def fit_with_noise(
+    equations: NormalEquations, noise: Array, lower_bounds: Array
+) -> PriorFit:
+    """Posterior of z for given noise variances.
+
+    Two filtered rows count as one independent row (`ROWS_PER_INDEPENDENT_ROW`).
 
     Args:
         equations: Normal equations in z.
-        noise: Variance of each channel's noise, (C,); infinite for rows that count for nothing.
-        least: Least values of z, (r,).
+        noise: Noise variance of each of the C channels, (C,); infinite for channels that are
+            ignored.
+        lower_bounds: Lower bounds of z, (r,).
     """
-    weights = np.where(equations.used > 0, 1 / (REPEATED * noise), 0.0)
+    weights = np.where(equations.used > 0, 1 / (ROWS_PER_INDEPENDENT_ROW * noise), 0.0)
     normal, right = equations.matrix(weights), equations.vector(weights)
-    return PriorFit(*conditioned(normal, right, least), noise)
+    return PriorFit(*bounded_posterior(normal, right, lower_bounds), noise)
 
 
-def conditioned(normal: Array, right: Array, least: Array) -> tuple[Array, Array]:
-    """Coordinates of a prior with data: likeliest z above its bounds, (r,); covariance, (r, r).
+def bounded_posterior(
+    normal: Array, right: Array, lower_bounds: Array
+) -> tuple[Array, Array]:
+    """Posterior mode of z within bounds, (r,), and posterior covariance without bounds, (r, r).
+
+    The prior of z has zero mean and unit covariance.
 
     Args:
-        normal: Information of the data on z, (r, r).
-        right: Information times the z that the data alone would have, (r,).
-        least: Least values of z, (r,).
+        normal: Information matrix of the data on z, (r, r).
+        right: Information matrix times the least-squares estimate of z, (r,).
+        lower_bounds: Lower bounds of z, (r,).
     """
-    matrix = np.asarray(normal + np.eye(len(least)), dtype=np.float64)
+    matrix = np.asarray(normal + np.eye(len(lower_bounds)), dtype=np.float64)
     covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-    return _bounded(covariance @ right, covariance, least), covariance
+    return _bounded_mode(covariance @ right, covariance, lower_bounds), covariance
 
 
-def _bounded(free: Array, covariance: Array, least: Array) -> Array:
-    """Likeliest z above its bounds, by a primal-dual active set.
+def _bounded_mode(free: Array, covariance: Array, least: Array) -> Array:
+    """Mode of a Gaussian within lower bounds, (r,), by a primal-dual active-set method.
 
     Source    [HIK02]
+
+    Args:
+        free: Mode without bounds, (r,).
+        covariance: Covariance, (r, r).
+        least: Lower bounds, (r,).
     """
     z, active = free, free < least
     for _ in range(len(z)):
         bound = np.flatnonzero(active)
         if not bound.size:
             break
-        pull = np.linalg.solve(covariance[np.ix_(bound, bound)], (least - free)[bound])
-        z = free + covariance[:, bound] @ pull
+        multipliers = np.linalg.solve(
+            covariance[np.ix_(bound, bound)], (least - free)[bound]
+        )
+        z = free + covariance[:, bound] @ multipliers
         z[bound] = least[bound]
-        before, active = active, z < least
-        active[bound] = pull > 0
-        if (active == before).all():
+        previous, active = active, z < least
+        active[bound] = multipliers > 0
+        if (active == previous).all():
             break
     return z
 
 
-def alone_determined(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:
-    """Which unknowns the data alone determine: nearly nothing else is known of any, (p,).
+def determined_by_data(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:
+    """Mask of the unknowns that the data determine without the prior, (p,).
 
-    The prior's bodies hold mass, centre and inertia together; what it carries from one parameter to
-    another is not the data's.
-
-    Args:
-        rows: Products of the rows that are used.
-        prior: Of the unknowns.
-    """
-    _, covariance = with_prior(rows, replace(prior, root=WIDE * prior.root))
-    return np.diagonal(covariance) <= (1 - DETERMINED) * prior.variance
-
-
-def refitted(rows: RowProducts, prior: LinearPrior) -> Array:
-    """The model file's values, the joints' own terms fitted, (p,).
+    An unknown is determined if a fit with a nearly uninformative prior reduces its variance to at
+    most a tenth of the variance of `prior` (`MIN_DETERMINED_SHARE`). The sigmas of the
+    uninformative prior are a thousand times as large, because correlations of mass, centre of mass
+    and inertia in the model file must not count as data.
 
     Args:
         rows: Products of the rows that are used.
-        prior: Of the unknowns.
+        prior: Prior of the unknowns.
     """
-    return with_prior(rows, prior.times(0.0))[0]
+    _, covariance = fit_with_prior(
+        rows, replace(prior, root=UNINFORMATIVE_FACTOR * prior.root)
+    )
+    return np.diagonal(covariance) <= (1 - MIN_DETERMINED_SHARE) * prior.variance
+
+
+def file_with_fitted_terms(rows: RowProducts, prior: LinearPrior) -> Array:
+    """Unknowns with the model file's bodies and joint terms fitted to rows, (p,).
+
+    Args:
+        rows: Products of the rows that are used.
+        prior: Prior of the unknowns.
+    """
+    return fit_with_prior(rows, prior.with_error_factor(0.0))[0]

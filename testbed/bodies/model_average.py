@@ -1,8 +1,8 @@
-"""Model average: fits whose priors have several strengths, weighted by held-out parts.
+"""Model average: fits with priors of several relative errors, weighted by held-out losses.
 
-How wrong a model file is cannot be seen in a short recording, and each single guess is a bad one
-somewhere. Strengths that held-out parts cannot distinguish are averaged: torques and wrenches are
-linear in the unknowns, so that the average is an estimate.
+A short recording does not determine the relative error of a model file, and any fixed value is
+wrong for some files. Therefore fits that held-out parts cannot distinguish are averaged. The
+average is again an estimate, because torques and wrenches are linear in the unknowns.
 """
 
 from __future__ import annotations
@@ -14,56 +14,59 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from testbed.bodies.linear_prior import (
-    REPEATED,
+    ROWS_PER_INDEPENDENT_ROW,
     LinearPrior,
     PriorFit,
-    conditioned,
-    fit_of_noise,
+    bounded_posterior,
+    fit_with_estimated_noise,
     fit_with_noise,
 )
 from testbed.bodies.row_products import RowParts, RowProducts
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.normal_equations import (
-    TINY,
+    SMALLEST_POSITIVE,
     NormalEquations,
     scaled_inverse,
 )
 
 PRIOR_ERRORS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-"""Relative errors of the bodies: from a file that is right to one that says next to nothing."""
+"""Relative errors of the bodies: from an exact model file to an uninformative one."""
 
-PRIOR_ERROR = 0.3
-"""The one that is taken where there are too few parts to weigh them."""
+DEFAULT_PRIOR_ERROR = 0.3
+"""Relative error of the bodies where there are too few parts for weights."""
 
-REFERENCE = 0.5
-"""Error of a file of which nothing is known; data determine what they narrow to a tenth of its
-variance."""
+REFERENCE_PRIOR_ERROR = 0.5
+"""Relative error of a model file of unknown quality; parameters count as determined if the data
+reduce their variance to a tenth of that under this error."""
 
-BLOCKS = (1, 2, 4)
-"""Parts that are held out together: from the longer ones fits have to extrapolate."""
+BLOCK_LENGTHS = (1, 2, 4)
+"""Numbers of consecutive parts that are held out together; longer blocks test extrapolation."""
 
-FEWEST_PARTS = 3
+MIN_PARTS = 3
+"""Smallest number of parts for weights by losses."""
 
-SURE, UNSURE = 0.01, 0.2
-"""Least and greatest standard error of a difference of losses, in logarithms."""
+MIN_LOSS_ERROR, MAX_LOSS_ERROR = 0.01, 0.2
+"""Bounds of the standard error of a difference of logarithmic losses."""
 
-SIZE = 0.15
-"""Power of a prior's error by which its weight falls: the file counts a little."""
+PRIOR_ERROR_EXPONENT = 0.15
+"""Exponent by which a weight falls with the prior's error, in favour of the file."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelAverage:
-    """Weighted mean and covariance of estimates by priors of several relative errors.
+    """Weighted mean and covariance of fits whose priors have different relative errors.
 
     Attributes:
-        prior: Prior with an error of one.
-        errors: Relative error of the bodies, by fit, (k,).
+        prior: Prior with a relative error of one.
+        errors: Relative error of the bodies in each of the k fits, (k,).
         weights: Weights of the fits, (k,).
-        noise: Variance of each channel's noise by fit, (k, C).
+        noise: Noise variance of each of the C channels in each fit, (k, C) [N^2, N^2 m^2].
         values: Values of the unknowns, (p,).
-        covariance: Covariance of the mixture, within the fits and between them, (p, p).
-        prior_error: Relative error of the file's bodies: rms deviation of what data determine.
-        by_rows: Values by rows of the parts.
+        covariance: Covariance of the mixture of the fits, (p, p), which includes the differences
+            between the fits.
+        prior_error: Relative error of the file's bodies: rms deviation from the file of the
+            coordinates that the data determine, or the only error in `errors`.
+        by_rows: Values of the fits, (k, p), keyed by training rows of the held-out parts.
     """
 
     prior: LinearPrior
@@ -75,36 +78,46 @@ class ModelAverage:
     prior_error: float
     by_rows: Mapping[RowProducts, Array] = field(default_factory=dict)
 
-    def values_of(self, rows: RowProducts) -> Array:
-        """Values of the unknowns by other rows, with the same weights and noise, (p,).
+    def values_fitted_to(self, rows: RowProducts) -> Array:
+        """Values of the unknowns fitted to other rows, with the same weights and noise, (p,).
+
+        Fits that are stored in `by_rows` are not repeated.
 
         Args:
-            rows: Products of the rows.
+            rows: Gram matrices of the rows.
         """
         if rows not in self.by_rows:
-            return self.weights @ _values(rows, self.prior, self.errors, self.noise)
+            return self.weights @ _values_by_fit(
+                rows, self.prior, self.errors, self.noise
+            )
         return self.weights @ self.by_rows[rows]
 
     def conditioned_on(self, values: Array, covariance: Array) -> ModelAverage:
-        """Average conditioned on a generalised least-squares estimate instead of the rows.
+        """Model average conditioned on a generalised least-squares estimate instead of the rows.
 
-        Its information counts correlated noise; the weights of the fits stay.
+        The covariance of the estimate accounts for correlated noise; the weights of the fits are
+        unchanged.
 
         Args:
-            values: Of the same unknowns by generalised least squares, (p,).
-            covariance: Of these, (p, p).
+            values: Generalised least-squares estimate of the same unknowns, (p,).
+            covariance: Covariance of this estimate, (p, p).
         """
         information = scaled_inverse(covariance)
-        left = values - self.prior.mean
+        deviation = values - self.prior.mean
 
         def fit(error: float) -> tuple[Array, Array]:
-            root = self.prior.times(error).root
-            normal, right = root.T @ information @ root, root.T @ information @ left
-            z, covariance = conditioned(normal, right, self.prior.least)
+            root = self.prior.with_error_factor(error).root
+            normal, right = (
+                root.T @ information @ root,
+                root.T @ information @ deviation,
+            )
+            z, covariance = bounded_posterior(normal, right, self.prior.lower_bounds)
             return self.prior.mean + root @ z, root @ covariance @ root.T
 
         values = np.array([fit(error)[0] for error in self.errors.tolist()])
-        spreads = np.array([fit(error)[1] for error in _unseen(self.errors).tolist()])
+        spreads = np.array(
+            [fit(error)[1] for error in _errors_without_data(self.errors).tolist()]
+        )
         mean, covariance = _mixture(self.weights, values, spreads)
         return replace(self, values=mean, covariance=covariance)
 
@@ -112,188 +125,279 @@ class ModelAverage:
 def model_average(
     parts: RowParts, prior: LinearPrior, errors: Sequence[float]
 ) -> ModelAverage:
-    """Fit with priors of several strengths and average them by what they leave of held-out parts.
+    """Average fits with different prior errors, weighted by losses on held-out parts.
 
-    The loss of a part is the logarithm of its squares, in units of the noise that the weakest prior
-    leaves; weights fall with the difference from the best in standard errors over the parts.
+    The loss of a part is the logarithm of the ratio of its mean squared prediction error to the
+    noise variance of the fit with the weakest prior (last error). The weight of a fit falls with
+    the difference between its loss and the smallest loss, in standard errors over the parts. The
+    covariance is computed with relative errors of at least `REFERENCE_PRIOR_ERROR`, and with noise
+    variances that are increased according to the scatter over the parts.
 
     Args:
-        parts: Rows of the recording.
-        prior: Prior with an error of one.
-        errors: Relative errors of the bodies.
+        parts: Gram matrices of the recording's rows, part by part.
+        prior: Prior with a relative error of one.
+        errors: Relative errors of the bodies, ascending; a single error gives a single fit.
     """
-    whole, sizes = parts.whole, np.array(errors)
+    whole, error_array = parts.total, np.array(errors)
     equations = whole.equations(prior.root, prior.mean)
     fits = [
-        fit_of_noise(_scaled(equations, prior, e), prior, whole.enough) for e in errors
+        fit_with_estimated_noise(
+            _scaled_equations(equations, prior, e), prior, whole.has_enough_rows
+        )
+        for e in errors
     ]
     noise = np.array([fit.noise for fit in fits])
     by_rows, weights = dict[RowProducts, Array](), np.ones(1)
-    if len(sizes) > 1:
-        by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in parts.folds}
-        weights = _weights(_losses(parts, prior, sizes, noise, by_rows), sizes)
+    if len(error_array) > 1:
+        by_rows = {
+            training: _values_by_fit(training, prior, error_array, noise)
+            for training, _ in parts.folds
+        }
+        weights = _fit_weights(
+            _held_out_losses(parts, prior, error_array, noise, by_rows), error_array
+        )
     best = int(weights.argmax())
-    wider = noise * _excess(parts, equations, prior, fits[best], errors[best])
-    error = errors[0]
-    if len(sizes) > 1:
-        wide = _refitted(equations, prior, sizes, wider)
-        error = _file_error(wide, sizes, weights, prior)
-    unseen = _unseen(sizes)
-    roots = [prior.times(each).root for each in unseen.tolist()]
-    wide = _refitted(equations, prior, unseen, wider)
+    inflated_noise = noise * _noise_inflation(
+        parts, equations, prior, fits[best], errors[best]
+    )
+    file_error = errors[0]
+    if len(error_array) > 1:
+        inflated_fits = _fits_under_noise(equations, prior, error_array, inflated_noise)
+        file_error = _file_error(inflated_fits, error_array, weights, prior)
+    errors_without_data = _errors_without_data(error_array)
+    roots = [
+        prior.with_error_factor(each).root for each in errors_without_data.tolist()
+    ]
+    inflated_fits = _fits_under_noise(
+        equations, prior, errors_without_data, inflated_noise
+    )
     spreads = [
-        root @ fit.covariance @ root.T for root, fit in zip(roots, wide, strict=True)
+        root @ fit.covariance @ root.T
+        for root, fit in zip(roots, inflated_fits, strict=True)
     ]
     pairs = zip(errors, fits, strict=True)
-    values = [prior.mean + prior.times(e).root @ fit.z for e, fit in pairs]
+    values = [prior.mean + prior.with_error_factor(e).root @ fit.z for e, fit in pairs]
     mean, covariance = _mixture(weights, np.array(values), np.array(spreads))
-    return ModelAverage(prior, sizes, weights, noise, mean, covariance, error, by_rows)
+    return ModelAverage(
+        prior, error_array, weights, noise, mean, covariance, file_error, by_rows
+    )
 
 
-def _unseen(errors: Array) -> Array:
-    """Errors of bodies that no row shows, (k,): at least those of any file.
+def _errors_without_data(errors: Array) -> Array:
+    """Relative errors for parameters that the data do not determine, (k,).
 
-    A single error is the one that was asked for.
+    They are at least `REFERENCE_PRIOR_ERROR` (0.5). A single error was requested and stays
+    unchanged.
+
+    Args:
+        errors: Relative errors of the bodies in the k fits, (k,).
     """
-    return errors if len(errors) == 1 else np.maximum(errors, REFERENCE)
+    return errors if len(errors) == 1 else np.maximum(errors, REFERENCE_PRIOR_ERROR)
 
 
 def _mixture(weights: Array, values: Array, covariances: Array) -> tuple[Array, Array]:
     """Mean, (p,), and covariance, (p, p), of a mixture of k Gaussian distributions.
 
     Args:
-        weights: Weights, (k,), whose sum is one.
+        weights: Weights, (k,), with a sum of one.
         values: Means, (k, p).
         covariances: Covariances, (k, p, p).
     """
     mean = weights @ values
-    apart = values - mean
+    deviations = values - mean
     within = np.einsum("k,kij->ij", weights, covariances)
-    return mean, within + (weights * apart.T) @ apart
+    return mean, within + (weights * deviations.T) @ deviations
 
 
-def _refitted(
+def _fits_under_noise(
     equations: NormalEquations, prior: LinearPrior, errors: Array, noise: Array
 ) -> list[PriorFit]:
-    """Fits with other errors of the bodies, (k,), and other variances of noise, (k, C)."""
+    """Fits for given relative errors of the bodies and given noise variances.
+
+    Args:
+        equations: Normal equations in the coordinates z of the prior.
+        prior: Prior with a relative error of one.
+        errors: Relative errors of the bodies, (k,).
+        noise: Noise variance of each of the C channels in each fit, (k, C).
+    """
     return [
-        fit_with_noise(_scaled(equations, prior, error), own, prior.least)
-        for error, own in zip(errors.tolist(), noise, strict=True)
+        fit_with_noise(
+            _scaled_equations(equations, prior, error), variances, prior.lower_bounds
+        )
+        for error, variances in zip(errors.tolist(), noise, strict=True)
     ]
 
 
-def _excess(
+def _noise_inflation(
     parts: RowParts,
     equations: NormalEquations,
     prior: LinearPrior,
     fit: PriorFit,
     error: float,
 ) -> Array:
-    """Scatter of the parts' scores over that of white noise, by channel, (C,); at least one.
+    """Ratio of the scatter of scores over parts to the scatter for white noise, (C,).
 
-    Correlated noise and what the model leaves out make it larger.
+    A score is the derivative of half the sum of squared residuals of a part with respect to z. The
+    ratio of each channel is at least one; correlated noise and model errors increase it.
 
     Source    [LZ86]
 
     Args:
-        parts: Rows of the recording.
-        equations: Normal equations of all rows in z of the prior with an error of one.
-        prior: Prior with an error of one.
-        fit: Fit with another error.
-        error: Relative error of the bodies in that fit.
+        parts: Gram matrices of the recording's rows, part by part.
+        equations: Normal equations of all rows in the coordinates z of the prior.
+        prior: Prior with a relative error of one.
+        fit: Fit with the relative error `error`.
+        error: Relative error of the bodies in the fit.
     """
-    root, whole = prior.times(error).root, parts.whole
+    root, whole = prior.with_error_factor(error).root, parts.total
     values = prior.mean + root @ fit.z
-    constants = whole.constants(values)[:, None]
+    constants = whole.mean_residuals(values)[:, None]
     ones = np.ones_like(constants)
-    left = np.hstack([-values * ones, -constants, ones])
+    residual = np.hstack([-values * ones, -constants, ones])
     means = whole.products[:, -2, :-2] / np.maximum(whole.rows, 1.0)[:, None]
     scores = []
-    for part in parts.each:
-        sums = np.einsum("cij,cj->ci", part.products[:, :-1], left)
-        own = sums[:, :-1] - parts.offset * means * sums[:, -1:]
-        scores.append(own @ root)
+    for part in parts.parts:
+        sums = np.einsum("cij,cj->ci", part.products[:, :-1], residual)
+        part_scores = sums[:, :-1] - parts.offset * means * sums[:, -1:]
+        scores.append(part_scores @ root)
     scatter = np.einsum("kci,ij,kcj->c", scores, fit.covariance, scores)
-    normal = _scaled(equations, prior, error).normal
-    white = REPEATED * np.einsum("cij,ji->c", normal, fit.covariance)
-    excess = np.where(white > TINY, scatter / np.maximum(white, TINY), 0.0) / fit.noise
-    return np.asarray(np.maximum(excess, 1.0))
+    normal = _scaled_equations(equations, prior, error).normal
+    white_scatter = ROWS_PER_INDEPENDENT_ROW * np.einsum(
+        "cij,ji->c", normal, fit.covariance
+    )
+    ratio = (
+        np.where(
+            white_scatter > SMALLEST_POSITIVE,
+            scatter / np.maximum(white_scatter, SMALLEST_POSITIVE),
+            0.0,
+        )
+        / fit.noise
+    )
+    return np.asarray(np.maximum(ratio, 1.0))
 
 
 def _file_error(
     fits: Sequence[PriorFit], errors: Array, weights: Array, prior: LinearPrior
 ) -> float:
-    """Rms deviation from the file of the bodies' coordinates that data determine.
+    """Rms deviation of the bodies from the file, in coordinates that the data determine.
 
-    REFERENCE counts as one coordinate.
+    Each coordinate contributes the fraction of its prior variance that the data remove to the
+    number of coordinates. `REFERENCE_PRIOR_ERROR` is the deviation of one additional coordinate.
 
     Source    [Mac92]
+
+    Args:
+        fits: Fits, one for each relative error of the bodies.
+        errors: Relative errors of the bodies, (k,).
+        weights: Weights of the fits, (k,).
+        prior: Prior with a relative error of one.
     """
-    z = np.array([fit.z[: prior.bodies] for fit in fits])
-    left = np.array([np.diagonal(fit.covariance)[: prior.bodies] for fit in fits])
-    square = weights @ (errors[:, None] * z) ** 2
-    determined = weights @ (1 - left)
-    return float(np.sqrt((REFERENCE**2 + square.sum()) / (1 + determined.sum())))
+    z = np.array([fit.z[: prior.body_coordinate_count] for fit in fits])
+    posterior_variance = np.array(
+        [np.diagonal(fit.covariance)[: prior.body_coordinate_count] for fit in fits]
+    )
+    squares = weights @ (errors[:, None] * z) ** 2
+    determined = weights @ (1 - posterior_variance)
+    return float(
+        np.sqrt((REFERENCE_PRIOR_ERROR**2 + squares.sum()) / (1 + determined.sum()))
+    )
 
 
-def _scaled(
+def _scaled_equations(
     equations: NormalEquations, prior: LinearPrior, error: float
 ) -> NormalEquations:
-    """Normal equations in z of the prior with another error of the bodies."""
-    scale = prior.scale(error)
+    """Normal equations in the coordinates z for another relative error of the bodies."""
+    scale = prior.coordinate_sigmas(error)
     normal = equations.normal * np.outer(scale, scale)
     return replace(equations, normal=normal, right=equations.right * scale)
 
 
-def _values(
+def _values_by_fit(
     rows: RowProducts, prior: LinearPrior, errors: Array, noise: Array
 ) -> Array:
-    """Values of the unknowns by some rows under the noise of all, by fit, (k, p)."""
+    """Values of the unknowns in k fits to given rows with given noise, (k, p).
+
+    Args:
+        rows: Gram matrices of the rows.
+        prior: Prior with a relative error of one.
+        errors: Relative errors of the bodies, (k,).
+        noise: Noise variance of each of the C channels in each fit, (k, C).
+    """
     equations, values = rows.equations(prior.root, prior.mean), []
-    for error, own in zip(errors.tolist(), noise, strict=True):
-        z = fit_with_noise(_scaled(equations, prior, error), own, prior.least).z
-        values.append(prior.mean + prior.times(error).root @ z)
+    for error, variances in zip(errors.tolist(), noise, strict=True):
+        z = fit_with_noise(
+            _scaled_equations(equations, prior, error), variances, prior.lower_bounds
+        ).z
+        values.append(prior.mean + prior.with_error_factor(error).root @ z)
     return np.array(values)
 
 
-def _losses(
+def _held_out_losses(
     parts: RowParts,
     prior: LinearPrior,
     errors: Array,
     noise: Array,
     by_rows: Mapping[RowProducts, Array],
 ) -> Array:
-    """Losses of held-out parts by fit, (parts, k), averaged over the block lengths.
+    """Losses of k fits on held-out parts, (parts, k), averaged over block lengths.
 
-    Parts without rows are left out.
+    Blocks of 1, 2 and 4 consecutive parts are held out together. Parts without rows are left out.
+
+    Args:
+        parts: Gram matrices of the recording's rows, part by part.
+        prior: Prior with a relative error of one.
+        errors: Relative errors of the bodies, (k,).
+        noise: Noise variance of each of the C channels in each fit, (k, C).
+        by_rows: Values of the fits, (k, p), keyed by training rows, if they are already computed.
     """
     losses = defaultdict[int, list[Array]](list)
-    for length in BLOCKS:
-        for seen, block in parts.blocks(length):
-            values = by_rows.get(seen)
+    for block_length in BLOCK_LENGTHS:
+        for training, block in parts.blocks(block_length):
+            values = by_rows.get(training)
             if values is None:
-                values = _values(seen, prior, errors, noise)
+                values = _values_by_fit(training, prior, errors, noise)
             for k, part in block:
                 if part.rows.any():
-                    losses[k].append(_loss(part, values, noise[-1]))
+                    losses[k].append(_part_losses(part, values, noise[-1]))
     return np.array([np.mean(each, axis=0) for each in losses.values()])
 
 
-def _loss(part: RowProducts, values: Array, noise: Array) -> Array:
-    """Logarithms of mean squared prediction errors over the noise's variance, by fit, (k,)."""
-    squares = np.array([part.squares(each, part.constants(each)) for each in values])
+def _part_losses(part: RowProducts, values: Array, noise: Array) -> Array:
+    """Logarithms of mean squared prediction errors relative to the noise variance, (k,).
+
+    Args:
+        part: Gram matrices of the held-out rows.
+        values: Values of the unknowns in each of the k fits, (k, p).
+        noise: Noise variance of each of the C channels, (C,).
+    """
+    squares = np.array(
+        [part.residual_squares(each, part.mean_residuals(each)) for each in values]
+    )
     loss: Array = np.log(
-        np.maximum((squares / noise).sum(axis=1) / part.rows.sum(), TINY)
+        np.maximum((squares / noise).sum(axis=1) / part.rows.sum(), SMALLEST_POSITIVE)
     )
     return loss
 
 
-def _weights(losses: Array, errors: Array) -> Array:
-    """Weights of fits by their losses on parts, (parts, k)."""
-    if len(losses) < FEWEST_PARTS:
-        return np.asarray((errors == PRIOR_ERROR) / 1.0)
-    excess = losses - losses[:, [losses.mean(axis=0).argmin()]]
-    error = excess.std(axis=0, ddof=1) / np.sqrt(len(excess))
-    apart = excess.mean(axis=0) / np.clip(error, SURE, UNSURE)
-    weights = np.exp(-0.5 * apart**2) * np.maximum(errors, PRIOR_ERRORS[1]) ** -SIZE
+def _fit_weights(losses: Array, errors: Array) -> Array:
+    """Weights of the fits according to losses on held-out parts, (k,).
+
+    The weights have a sum of one and are proportional to exp(-d^2 / 2) max(error, 0.03)^-0.15. Here
+    d is the mean difference from the loss of the best fit divided by its standard error, which is
+    bounded to 0.01 ... 0.2. With fewer than `MIN_PARTS` (3) parts, only the fit with
+    `DEFAULT_PRIOR_ERROR` (0.3) has a weight.
+
+    Args:
+        losses: Losses, (parts, k).
+        errors: Relative errors of the bodies, (k,).
+    """
+    if len(losses) < MIN_PARTS:
+        return np.asarray((errors == DEFAULT_PRIOR_ERROR) / 1.0)
+    differences = losses - losses[:, [losses.mean(axis=0).argmin()]]
+    error = differences.std(axis=0, ddof=1) / np.sqrt(len(differences))
+    z = differences.mean(axis=0) / np.clip(error, MIN_LOSS_ERROR, MAX_LOSS_ERROR)
+    weights = (
+        np.exp(-0.5 * z**2)
+        * np.maximum(errors, PRIOR_ERRORS[1]) ** -PRIOR_ERROR_EXPONENT
+    )
     return np.asarray(weights / weights.sum())

@@ -1,10 +1,11 @@
-"""What a recording adds to its model file: least squares with the file's bodies as a prior.
+"""Posterior of the parameters: least squares with the model file's bodies as a Gaussian prior.
 
-Every body's pseudo-inertia is J = U Y U' with that of the file U U'; the coordinates of Y are
-those of one with the same standard deviation each: the linear form of the prior of consistent
-bodies. How wrong the file is, held-out parts say. The joints' own terms are free, but friction is
-not negative. Where the data alone determine all parameters the prior is left out, and the estimate
-is that of least squares, which weighs correlated noise.
+The pseudo-inertia of every body is J = U Y U', where U U' is the pseudo-inertia in the file. All
+coordinates of Y have the same standard deviation, as in the linearised prior of consistent bodies.
+The relative error of the file is estimated from held-out parts of the recording. The joint terms
+are nearly free, but friction is not negative. If the data alone determine all parameters, the prior
+is left out, and the result is the generalised least-squares estimate, which accounts for correlated
+noise.
 """
 
 from __future__ import annotations
@@ -16,37 +17,40 @@ from typing import TypeGuard
 import numpy as np
 
 from testbed.bodies.linear_prior import (
-    DETERMINED,
+    MIN_DETERMINED_SHARE,
     LinearPrior,
-    alone_determined,
+    determined_by_data,
+    file_with_fitted_terms,
     linear_prior,
-    refitted,
 )
 from testbed.bodies.model_average import (
     PRIOR_ERRORS,
-    REFERENCE,
+    REFERENCE_PRIOR_ERROR,
     ModelAverage,
     model_average,
 )
 from testbed.bodies.prediction_errors import (
     CONSISTENT,
     FILE,
-    PLAIN,
+    LEAST_SQUARES,
     POSTERIOR,
     REFITTED,
     PredictionErrors,
+    fitted_predictions,
     prediction_errors,
-    predictions_of,
 )
-from testbed.bodies.prior import Prior
-from testbed.bodies.row_products import RowParts, RowProducts, products_of
-from testbed.core.base.arrays import Array, freeze
+from testbed.bodies.prior import PriorBodies
+from testbed.bodies.row_products import RowParts, RowProducts, row_parts
+from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.codec import with_properties
+from testbed.core.base.codec import schema_with_properties
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.estimation.estimate import Estimate, EstimateSummary, instrument_of
+from testbed.core.estimation.estimate import Estimate, EstimateSummary, instrument_label
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import TINY, scaled_solve
+from testbed.core.estimation.regression.normal_equations import (
+    SMALLEST_POSITIVE,
+    solve_scaled,
+)
 from testbed.core.estimation.regression.solvers import noise_weights
 from testbed.sensors.corrected import corrected
 
@@ -56,23 +60,26 @@ WELL_CONDITIONED = 100.0
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Posterior(EstimateSummary):
-    """Estimate by a recording and its model file together; its sigma counts the prior's doubt.
+    """Estimate from a recording and a model file; `sigma` includes the uncertainty of the prior.
 
     Attributes:
-        instrument: What a person calls it.
-        count: How many parameters are of bodies.
-        file: By the model file, (p,).
-        refitted: The same with the joints' own terms fitted to the data, (p,).
-        prior_sigma: Standard deviations before the data, (p,).
-        share: Part of the prior's variance that the data remove, (p,).
-        alone: Which of them the data alone determine: with nothing else known of any, their
-            variance is at most a tenth of the prior's, (p,).
-        prior_error: Relative error of the model file's bodies, by held-out parts.
-        used: Whether the prior is needed; else the values are those of least squares.
-        by_part: Rms of what it leaves of consecutive parts of the recording, (parts, C) [N, N m].
-        duration: Of the recording [s].
-        errors: What it leaves of held-out parts, and what others do.
-        consistent: Of consistent bodies, (p,); None where they were not asked for.
+        instrument: Name of the instrument in reports.
+        count: Number of minimal parameters of the bodies, which come before the joint terms.
+        file: Values of the model file, (p,).
+        refitted: Values of the model file with the joint terms fitted to the data, (p,).
+        prior_sigma: Prior standard deviations, (p,).
+        share: Fraction of the prior variance that the data remove, (p,).
+        alone: True for parameters that the data determine without the prior, to a variance of at
+            most a tenth of the prior variance, (p,).
+        prior_error: Relative error of the model file's bodies, as stated or as estimated from
+            held-out parts.
+        used: True if the prior is needed; else the values are those of least squares.
+        by_part: Rms residual of each of the C channels in consecutive parts of the recording,
+            (parts, C) [N, N m].
+        duration: Duration of the recording [s].
+        errors: Prediction errors of the posterior and its rivals on held-out parts.
+        consistent: Values from physically consistent bodies, (p,); None if these were not
+            requested.
     """
 
     instrument: str
@@ -89,12 +96,12 @@ class Posterior(EstimateSummary):
     errors: tuple[PredictionErrors, ...]
     consistent: Array | None = None
 
-    __get_pydantic_core_schema__ = with_properties("sigma", "determined")
+    __get_pydantic_core_schema__ = schema_with_properties("sigma", "determined")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         p = len(self.names)
-        freeze(
+        freeze_arrays(
             self,
             file=(p,),
             refitted=(p,),
@@ -105,38 +112,56 @@ class Posterior(EstimateSummary):
 
     @property
     def models(self) -> dict[str, Array]:
-        """Values of the unknowns by what says them, for predictions."""
-        found = {FILE: self.file, REFITTED: self.refitted, POSTERIOR: self.values}
+        """Values of the unknowns, (p,), keyed by name of the prediction.
+
+        The names are "file", "refitted" and "posterior", and "consistent" if consistent bodies were
+        requested.
+        """
+        models = {FILE: self.file, REFITTED: self.refitted, POSTERIOR: self.values}
         return (
-            found if self.consistent is None else {**found, CONSISTENT: self.consistent}
+            models
+            if self.consistent is None
+            else {**models, CONSISTENT: self.consistent}
         )
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Minimal parameters of bodies that the data alone determine."""
+        """Names of the bodies' minimal parameters that the data determine without the prior."""
         pairs = zip(self.names[: self.count], self.alone[: self.count], strict=True)
-        return tuple(name for name, alone in pairs if alone)
+        return tuple(name for name, is_determined in pairs if is_determined)
 
-    def worse(self, shown: str) -> tuple[Diagnostic, ...]:
-        """Channels of held-out parts that the model file or least squares predict better.
+    def worse_channels(self, reported: str) -> tuple[Diagnostic, ...]:
+        """Diagnostics of held-out channels that the model file or least squares predict better.
+
+        The reported estimate is compared with least squares. Both the reported estimate and the
+        consistent bodies are compared with the model file with fitted joint terms. The thresholds
+        are those of `PredictionErrors.worse_channels`.
 
         Args:
-            shown: The estimate that counts: "posterior" or "plain".
+            reported: Name of the reported estimate: "posterior" or "plain".
         """
-        pairs = ((shown, PLAIN), (shown, REFITTED), (CONSISTENT, REFITTED))
+        pairs = (
+            (reported, LEAST_SQUARES),
+            (reported, REFITTED),
+            (CONSISTENT, REFITTED),
+        )
         return tuple(
-            d for name, than in pairs for e in self.errors for d in e.worse(name, than)
+            d
+            for name, than in pairs
+            for e in self.errors
+            for d in e.worse_channels(name, than)
         )
 
 
 @dataclass(frozen=True, eq=False)
 class ReportedEstimate:
-    """Estimate that a result reports for one method, and its rivals.
+    """Reported estimate of one method, and the values of all candidates.
 
     Attributes:
-        estimate: With the model file as prior, where that is needed; else by least squares.
-        held: Which of the candidates it is: "posterior" or "plain".
-        models: Values of its unknowns by candidate; {} where there are no others.
+        estimate: Estimate with the model file as prior if the prior is needed; otherwise the
+            least-squares estimate.
+        held: Name of the reported candidate: "posterior" or "plain".
+        models: Values of the unknowns, (p,), keyed by candidate; {} if there is no posterior.
     """
 
     estimate: EstimateSummary
@@ -145,94 +170,114 @@ class ReportedEstimate:
 
 
 def reported_estimate(
-    own: EstimateSummary | None, found: Posterior | None, *, plain: bool = False
+    least_squares: EstimateSummary | None,
+    posterior_estimate: Posterior | None,
+    *,
+    plain: bool = False,
 ) -> ReportedEstimate:
-    """Choose between least squares and posterior of one method.
+    """Choose between the least-squares estimate and the posterior of one method.
+
+    The posterior is reported if the data do not determine all parameters (`Posterior.used`) or if
+    there is no least-squares estimate. Otherwise the least-squares estimate is reported. Sensor
+    errors and settings are those of the least-squares estimate if it exists.
 
     Args:
-        own: By least squares; None where the data determine none.
-        found: With the model file as prior; None where there is no such.
-        plain: Whether least squares count all the same.
+        least_squares: Least-squares estimate; None if the data do not determine one.
+        posterior_estimate: Posterior with the model file as prior; None if there is no prior.
+        plain: True to report the least-squares estimate in any case.
 
     Raises:
-        ValueError: There is neither, or they are of other parameters.
+        ValueError: Both are None, or their parameters differ.
     """
-    if found is None:
-        if own is None:
+    if posterior_estimate is None:
+        if least_squares is None:
             raise ValueError("there is no estimate")
-        return ReportedEstimate(own, PLAIN, {})
-    if own is None:
-        return ReportedEstimate(found, POSTERIOR, found.models)
-    if own.names != found.names:
+        return ReportedEstimate(least_squares, LEAST_SQUARES, {})
+    if least_squares is None:
+        return ReportedEstimate(
+            posterior_estimate, POSTERIOR, posterior_estimate.models
+        )
+    if least_squares.names != posterior_estimate.names:
         raise ValueError("least squares and the posterior are of other parameters")
-    models = {**found.models, PLAIN: own.values}
-    if plain or not found.used:
-        return ReportedEstimate(own, PLAIN, models)
-    known = {
-        name: getattr(own, name)
+    models = {**posterior_estimate.models, LEAST_SQUARES: least_squares.values}
+    if plain or not posterior_estimate.used:
+        return ReportedEstimate(least_squares, LEAST_SQUARES, models)
+    common = {
+        name: getattr(least_squares, name)
         for name in ("nuisances", "unidentifiable", "settings", "correction")
     }
-    return ReportedEstimate(replace(found, **known), POSTERIOR, models)
+    return ReportedEstimate(replace(posterior_estimate, **common), POSTERIOR, models)
 
 
-def posterior(
+def compute_posterior(
     rows: RowParts,
-    prior: Prior,
+    prior: PriorBodies,
     estimate: Estimate | None = None,
     *,
     prior_error: float | None = None,
 ) -> Posterior:
-    """What a recording adds to a model file.
+    """Compute the posterior from a recording's rows, with the model file's bodies as prior.
+
+    The values are a model average over the relative errors `PRIOR_ERRORS`, or the fit with the
+    stated error. If the least-squares estimate is well conditioned, the fits are conditioned on
+    this estimate instead of on the rows. If every channel has enough rows and the data determine
+    all parameters (`determines_all`), the values are those of the least-squares estimate and `used`
+    is False.
 
     Args:
-        rows: Of the recording; friction that the joints of its robot state is the file's.
-        prior: The bodies of the model file (`prior_of`).
-        estimate: By least squares, of the same rows; None where the data determine none.
-        prior_error: Relative error of the file's bodies; None for what held-out parts say.
+        rows: Gram matrices of the recording's rows; the joint friction of the problem's robot is
+            that of the file.
+        prior: Bodies of the model file (`prior_of`).
+        estimate: Least-squares estimate from the same rows; None if the data do not determine one.
+        prior_error: Relative error of the file's bodies; None to estimate it from held-out parts.
     """
-    problem, method, whole = rows.problem, rows.problem.method, rows.whole
+    problem, method, all_rows = rows.problem, rows.problem.method, rows.total
     with one_blas_thread():
-        before = linear_prior(problem, prior, whole)
-        reference = before.times(REFERENCE)
+        linear = linear_prior(problem, prior, all_rows)
+        reference = linear.with_error_factor(REFERENCE_PRIOR_ERROR)
         errors = PRIOR_ERRORS if prior_error is None else (prior_error,)
-        fit = model_average(rows, before, errors)
-        if well_conditioned(estimate):
+        fit = model_average(rows, linear, errors)
+        if is_well_conditioned(estimate):
             fit = fit.conditioned_on(estimate.values, _without_model_errors(estimate))
-        alone = tuple(alone_determined(whole, reference).tolist())
-        answer: ModelAverage | Estimate = fit
-        if determines(estimate, reference) and whole.enough.all():
-            answer, alone = estimate, (True,) * len(alone)
+        is_determined = tuple(determined_by_data(all_rows, reference).tolist())
+        result: ModelAverage | Estimate = fit
+        if determines_all(estimate, reference) and all_rows.has_enough_rows.all():
+            result, is_determined = estimate, (True,) * len(is_determined)
         file = file_values(problem, prior)
         fits: dict[str, Callable[[RowProducts], Array]] = {
-            REFITTED: lambda rows: refitted(rows, before),
-            POSTERIOR: fit.values_of if answer is fit else _plain,
+            REFITTED: lambda rows: file_with_fitted_terms(rows, linear),
+            POSTERIOR: fit.values_fitted_to if result is fit else _least_squares_values,
         }
         if estimate is not None:
-            fits[PLAIN] = _plain
-        before = before.times(prior_error or max(fit.prior_error, REFERENCE))
-        covariance = np.array(answer.covariance)
-        if answer is fit:
-            covariance = covariance + _of_model_errors(estimate, before, covariance)
-        constants = whole.constants(answer.values)
-        variance = np.maximum(before.variance, TINY)
+            fits[LEAST_SQUARES] = _least_squares_values
+        linear = linear.with_error_factor(
+            prior_error or max(fit.prior_error, REFERENCE_PRIOR_ERROR)
+        )
+        covariance = np.array(result.covariance)
+        if result is fit:
+            covariance = covariance + _model_error_covariance(
+                estimate, linear, covariance
+            )
+        constants = all_rows.mean_residuals(result.values)
+        variance = np.maximum(linear.variance, SMALLEST_POSITIVE)
         return Posterior(
             method=method,
-            instrument=instrument_of(problem.minimal, method),
+            instrument=instrument_label(problem.minimal, method),
             names=problem.names,
             units=problem.units,
             count=problem.minimal.count,
             file=file,
-            refitted=refitted(whole, before),
-            prior_sigma=np.sqrt(before.variance),
-            values=answer.values,
+            refitted=file_with_fitted_terms(all_rows, linear),
+            prior_sigma=np.sqrt(linear.variance),
+            values=result.values,
             covariance=covariance,
             share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
-            alone=alone,
+            alone=is_determined,
             prior_error=fit.prior_error,
-            used=answer is fit,
-            residual=whole.residual(answer.values),
+            used=result is fit,
+            residual=all_rows.rms_residual(result.values),
             by_part=np.array(
-                [part.residual(answer.values, constants) for part in rows.each]
+                [part.rms_residual(result.values, constants) for part in rows.parts]
             ),
             duration=problem.source.samples / problem.source.rate,
             gravity=problem.tree.gravity,
@@ -241,15 +286,15 @@ def posterior(
         )
 
 
-def _of_model_errors(
+def _model_error_covariance(
     estimate: Estimate | None, prior: LinearPrior, covariance: Array
 ) -> Array | float:
-    """Covariance that model errors add beside a prior, (p, p).
+    """Covariance that model errors add under a prior, (p, p); 0 without model errors.
 
     Args:
-        estimate: By least squares; None where the data determine none.
-        prior: Of the unknowns.
-        covariance: Of the unknowns otherwise, (p, p).
+        estimate: Least-squares estimate; None if the data do not determine one.
+        prior: Prior of the unknowns.
+        covariance: Covariance of the unknowns without model errors, (p, p).
     """
     if estimate is None or estimate.model_error_effect is None:
         return 0.0
@@ -258,7 +303,7 @@ def _of_model_errors(
 
 
 def _without_model_errors(estimate: Estimate) -> Array:
-    """Covariance of an estimate without what model errors add, (p, p)."""
+    """Covariance of an estimate without the contribution of model errors, (p, p)."""
     covariance = np.array(estimate.covariance)
     if estimate.model_error_effect is None:
         return covariance
@@ -266,59 +311,72 @@ def _without_model_errors(estimate: Estimate) -> Array:
     return covariance - root @ root.T
 
 
-def rows_of(problem: Problem, estimate: Estimate | None) -> RowParts:
-    """Rows of a problem, faults of the instrument that an estimate found taken back.
+def corrected_row_parts(problem: Problem, estimate: Estimate | None) -> RowParts:
+    """Gram matrices of a problem's rows, with the estimated instrument faults corrected.
+
+    Wrench channels have an unknown constant if the estimate includes the plate's bias, has
+    unidentifiable parameters or is None. Channels of joint torques have no unknown constant.
 
     Args:
-        problem: With the terms and the filter of the estimate.
-        estimate: By least squares; None where the data determine none.
+        problem: Problem with the terms and the filter of the estimate.
+        estimate: Least-squares estimate; None if the data do not determine one.
     """
     source, free = problem.source, True
     if estimate is not None:
         source = corrected(source, problem.tree, estimate.sensor_errors)
         free = "bias" in problem.settings.nuisances or bool(estimate.unidentifiable)
-    return products_of(problem, source, free and problem.method == "external")
+    return row_parts(problem, source, free and problem.method == "wrench")
 
 
-def file_values(problem: Problem, prior: Prior) -> Array:
-    """Values of the unknowns as the model file states them, (p,).
+def file_values(problem: Problem, prior: PriorBodies) -> Array:
+    """Values of the unknowns in the model file: minimal parameters, then joint terms, (p,).
 
     Args:
-        problem: Says which unknowns.
-        prior: The file's bodies.
+        problem: Problem with the unknowns; friction of its joints is that of the file.
+        prior: Bodies of the model file.
     """
     minimal, drives = problem.minimal, problem.drives
-    none = np.zeros((problem.tree.n, 10))
+    no_bodies = np.zeros((problem.tree.n, 10))
     values = (
         np.zeros(len(problem.names))
         if drives is None
-        else drives.values(none, problem.tree)
+        else drives.values(no_bodies, problem.tree)
     )
     values[: minimal.count] += minimal.standard_matrix @ prior.standard.ravel()
     return values
 
 
-def well_conditioned(estimate: Estimate | None) -> TypeGuard[Estimate]:
-    """Whether data excite all unknowns, so that least squares know the noise's correlation.
+def is_well_conditioned(estimate: Estimate | None) -> TypeGuard[Estimate]:
+    """Test whether an estimate is well conditioned and all its variances are positive.
+
+    An estimate is well conditioned if the condition number of its equations, with columns of unit
+    length, is below `WELL_CONDITIONED` (100). The noise model derived from its residuals is then
+    reliable. The result is False if there is no estimate.
 
     Args:
-        estimate: By least squares; None where the data determine none.
+        estimate: Least-squares estimate; None if the data do not determine one.
     """
     if estimate is None:
         return False
     return estimate.condition < WELL_CONDITIONED and bool((estimate.sigma > 0).all())
 
 
-def determines(estimate: Estimate | None, prior: LinearPrior) -> TypeGuard[Estimate]:
-    """Whether the data alone determine every parameter: then no prior is needed.
+def determines_all(
+    estimate: Estimate | None, prior: LinearPrior
+) -> TypeGuard[Estimate]:
+    """Test whether the data determine every parameter, so that no prior is needed.
+
+    No prior is needed if each least-squares variance is below a ninth of the prior variance: the
+    data then remove over `MIN_DETERMINED_SHARE` (90 %) of the prior variance. The result is False
+    if there is no estimate.
 
     Args:
-        estimate: By least squares; None where the data determine none.
-        prior: Of its unknowns.
+        estimate: Least-squares estimate; None if the data do not determine one.
+        prior: Prior of the unknowns.
     """
     if estimate is None:
         return False
-    most = (1 / DETERMINED - 1) * prior.variance
+    most = (1 / MIN_DETERMINED_SHARE - 1) * prior.variance
     return bool((estimate.sigma**2 < most).all())
 
 
@@ -327,28 +385,31 @@ def held_out_errors(
     fits: Mapping[str, Callable[[RowProducts], Array]],
     file: Array | None = None,
 ) -> tuple[PredictionErrors, ...]:
-    """What fits of some parts leave of others, split by split.
+    """Prediction errors of several fits on held-out parts, for each kind of split.
+
+    The splits are those of `RowParts.splits`: "like" always, and "faster" if the speeds differ
+    enough.
 
     Args:
-        parts: Of the rows.
-        fits: By name, what finds values of the unknowns by rows.
-        file: The model file's values, (p,), to be beside them.
+        parts: Gram matrices of the rows of each part.
+        fits: Functions from rows to values of the unknowns, (p,), keyed by name of the prediction.
+        file: Values of the model file, (p,), as a further prediction; None to omit it.
     """
-    found = []
+    errors = []
     for kind, split in parts.splits.items():
         pairs = []
-        for seen, rest in split:
-            models = {name: fit(seen) for name, fit in fits.items()}
+        for training, held_out in split:
+            models = {name: fit(training) for name, fit in fits.items()}
             if file is not None:
                 models[FILE] = file
-            pairs.append((predictions_of(seen, models), rest))
-        found.append(prediction_errors(parts.problem, kind, pairs))
-    return tuple(found)
+            pairs.append((fitted_predictions(training, models), held_out))
+        errors.append(prediction_errors(parts.problem, kind, pairs))
+    return tuple(errors)
 
 
-def _plain(rows: RowProducts) -> Array:
-    """Least squares, (p,)."""
+def _least_squares_values(rows: RowProducts) -> Array:
+    """Least-squares solution without a prior, weighted by inverse noise variances, (p,)."""
     p = len(rows.unknowns)
     equations = rows.equations(np.eye(p), np.zeros(p))
     weights = noise_weights(equations)
-    return scaled_solve(equations.matrix(weights), equations.vector(weights))
+    return solve_scaled(equations.matrix(weights), equations.vector(weights))

@@ -1,4 +1,4 @@
-"""What a model file and estimates leave of data that they have not seen, beside each other."""
+"""Prediction errors of the model file and of estimates on data that no fit used."""
 
 from __future__ import annotations
 
@@ -7,52 +7,55 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from testbed.bodies.row_products import RowProducts, products_of, sum_of
+from testbed.bodies.row_products import RowProducts, row_parts, sum_row_products
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import with_properties
-from testbed.core.base.diagnostics import Diagnostic, diagnose, phrase
-from testbed.core.estimation.estimate import Method, channel_label, channel_units
+from testbed.core.base.codec import schema_with_properties
+from testbed.core.base.diagnostics import Diagnostic, cause_phrase, make_diagnostic
+from testbed.core.estimation.estimate import channel_label, channel_units
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.estimation.regression.normal_equations import SMALLEST_POSITIVE
 from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.source import Source
 
-FILE, REFITTED, PLAIN = "file", "refitted", "plain"
+FILE, REFITTED, LEAST_SQUARES = "file", "refitted", "plain"
 POSTERIOR, CONSISTENT = "posterior", "consistent"
-"""The model file as it is; with the plate's zero, or friction and offsets, fitted; least squares;
-with the file as prior; consistent bodies."""
+"""Predictions: model file unchanged; model file with the plate's zero, or friction and offsets,
+fitted; least squares; estimate with the file as prior; physically consistent bodies."""
 
-WORSE = {REFITTED: 1.05, PLAIN: 1.2}
-"""Error over that of a rival that is worth a word: the model file with its friction fitted, least
-squares."""
+MAX_ERROR_RATIOS = {REFITTED: 1.05, LEAST_SQUARES: 1.2}
+"""Ratio to a rival's prediction error above which an error is reported, by rival: model file with
+fitted friction, least squares."""
 
-NOTICEABLE = 5e-3
-"""Part of its signal by which a channel is worse predicted, in squares, that is of any matter."""
+MIN_ERROR_INCREASE = 5e-3
+"""Smallest reported error increase, root of the difference of squares, over the signal."""
 
-CHANCE = 0.01
-"""Of such an error by the scatter of parts alone, below which it is worth one."""
+MAX_P_VALUE = 0.01
+"""Largest p-value of a reported increase of a prediction error."""
 
 
 @dataclass(frozen=True, eq=False)
 class PredictionErrors:
-    """What is left of signals that no fit has seen.
+    """Prediction errors of each channel on measurements that no fit used.
 
     Attributes:
-        method: By plate or by torques.
-        of: "like": eighths of the recording, each by all others; "faster": its fast parts by the
-            slow ones; "another": another recording.
-        channels: The measured channels, (C,).
-        units: One each, N or N m.
-        rows: How many there are, (C,).
-        signal: Rms of the channels, of a plate with an unknown zero about their mean, (C,); it and
-            all else is nan where rows are too few.
-        residual: Rms of what is left, (C,) [N, N m], by what predicts: "file", "refitted",
+        method: "wrench" for the force plate, "torque" for joint torques.
+        of: Kind of the predicted data. "like": each eighth of the recording, predicted from the
+            other eighths; "faster": the fast parts of the recording, predicted from the slow parts;
+            "another": another recording.
+        channels: Names of the C measured channels, (C,).
+        units: Units of the channels, N or N m, (C,).
+        rows: Number of rows of each channel, (C,).
+        signal: Rms signal of each channel, (C,) [N, N m]; about the mean if the zero of the force
+            plate is unknown. Signals and errors are nan for channels with too few rows.
+        residual: Rms prediction errors, (C,) [N, N m], keyed by prediction: "file", "refitted",
             "plain", "posterior", "consistent".
-        chance: Of errors so much above those of a rival, "refitted" or "plain", where parts only
-            scatter, (C,), by rival and what predicts; for the largest of all channels.
+        chance: One-sided p-values for errors larger than those of a rival prediction, (C,), keyed
+            by rival ("refitted" or "plain") and then by prediction; corrected for the number of
+            channels.
     """
 
-    method: Method
+    method: Signal
     of: str
     channels: tuple[str, ...]
     units: tuple[str, ...]
@@ -61,72 +64,88 @@ class PredictionErrors:
     residual: Mapping[str, Array]
     chance: Mapping[str, Mapping[str, Array]]
 
-    __get_pydantic_core_schema__ = with_properties("best")
+    __get_pydantic_core_schema__ = schema_with_properties("best_method")
 
     @property
-    def best(self) -> str:
-        """What leaves least."""
+    def best_method(self) -> str:
+        """Name of the prediction with the smallest error over all channels (`over_file`)."""
         return min(self.residual, key=self.over_file)
 
-    def beside(self, other: PredictionErrors) -> PredictionErrors:
-        """The same with what others leave of the same data.
+    def merged_with(self, other: PredictionErrors) -> PredictionErrors:
+        """Prediction errors merged with the errors of other predictions of the same data.
+
+        Predictions in both keep the errors and p-values of this object.
 
         Args:
-            other: By them.
+            other: Errors of the other predictions. P-values for rivals that are missing in `chance`
+                of this object are dropped.
         """
         residual = {**other.residual, **self.residual}
         chance = {
-            than: {**other.chance.get(than, {}), **own}
-            for than, own in self.chance.items()
+            than: {**other.chance.get(than, {}), **chances}
+            for than, chances in self.chance.items()
         }
         return replace(self, residual=residual, chance=chance)
 
     def share(self, which: str) -> Array:
-        """Rms prediction error over rms signal, (C,); nan where a channel has none.
+        """Rms prediction error over rms signal, (C,); nan for channels without a signal.
 
         Args:
-            which: What predicts.
+            which: Name of the prediction.
         """
         signal = np.where(self.signal > 0, self.signal, np.nan)
         return self.residual[which] / signal
 
     def over_file(self, which: str) -> float:
-        """Rms over channels of what is left, over what the file with its friction fitted leaves.
+        """Rms, over the channels, of the error relative to the model file with fitted friction.
+
+        Channels with too few rows are left out.
 
         Args:
-            which: What predicts.
+            which: Name of the prediction.
         """
-        file = np.maximum(self.residual[REFITTED], TINY)
+        file = np.maximum(self.residual[REFITTED], SMALLEST_POSITIVE)
         return float(np.sqrt(np.nanmean((self.residual[which] / file) ** 2)))
 
-    def worse(self, which: str, than: str = REFITTED) -> Iterator[Diagnostic]:
-        """Channels that are significantly worse predicted than by a rival.
+    def worse_channels(self, which: str, than: str = REFITTED) -> Iterator[Diagnostic]:
+        """Diagnostics of channels that one prediction predicts significantly worse than another.
+
+        A channel is reported if the error is larger by a factor over 1.05 ("refitted") or 1.2
+        ("plain") with a p-value below 0.01, and the root of the difference of the squared errors
+        exceeds 0.5 % of the signal. No channel is reported if there are no p-values for the two
+        predictions.
 
         Args:
-            which: What predicts.
-            than: The rival: "refitted" or "plain".
+            which: Name of the prediction.
+            than: Name of the other prediction: "refitted" or "plain".
         """
         chance = self.chance.get(than, {}).get(which)
         if chance is None:
             return
-        rival, own = self.residual[than], self.residual[which]
-        matters = own**2 - rival**2 > (NOTICEABLE * self.signal) ** 2
-        worse = (own > WORSE[than] * rival) & matters & (chance < CHANCE)
-        for c in np.flatnonzero(worse).tolist():
-            yield diagnose(
+        rival_residual, residual = self.residual[than], self.residual[which]
+        is_noticeable = (
+            residual**2 - rival_residual**2 > (MIN_ERROR_INCREASE * self.signal) ** 2
+        )
+        is_worse = (
+            (residual > MAX_ERROR_RATIOS[than] * rival_residual)
+            & is_noticeable
+            & (chance < MAX_P_VALUE)
+        )
+        for c in np.flatnonzero(is_worse).tolist():
+            yield make_diagnostic(
                 "estimate.worse-than-file"
                 if than == REFITTED
                 else "estimate.worse-than-plain",
                 channel_label(self.method, self.channels[c]),
-                float(own[c] / max(rival[c], TINY)),
+                float(residual[c] / max(rival_residual[c], SMALLEST_POSITIVE)),
                 method=self.method,
-                predicts=phrase(which),
-                of=phrase(self.of),
-                rival=phrase(than),
-                residual=own[c],
-                least=rival[c],
+                predicts=cause_phrase(which),
+                of=cause_phrase(self.of),
+                rival=cause_phrase(than),
+                residual=residual[c],
+                least=rival_residual[c],
                 unit=self.units[c],
-                best=phrase(self.best),
+                best=cause_phrase(self.best_method),
             )
 
 
@@ -136,33 +155,35 @@ Prediction = tuple[Array, Array]
 
 def prediction_errors(
     problem: Problem,
-    of: str,
+    held_out_kind: str,
     pairs: Iterable[tuple[Mapping[str, Prediction], Sequence[RowProducts]]],
 ) -> PredictionErrors:
-    """What predictions leave of rows.
+    """Rms errors and p-values of several predictions on held-out rows, channel by channel.
 
     Args:
-        problem: Whose unknowns and channels.
-        of: As of the errors.
-        pairs: Predictions by what makes them, and parts of the rows that they are held against.
+        problem: Problem with the unknowns and the channels.
+        held_out_kind: Kind of the predicted data: "like", "faster" or "another"
+            (`PredictionErrors.of`).
+        pairs: Pairs of predictions, keyed by name, and the held-out parts of the rows that they
+            predict. The errors are computed over the parts of all pairs.
     """
-    none = np.zeros(len(problem.names))
+    zeros = np.zeros(len(problem.names))
     squares: dict[str, list[Array]] = {}
     signal: list[Array] = []
-    unseen: list[RowProducts] = []
+    held_out: list[RowProducts] = []
     for predictions, parts in pairs:
         for name, (values, constants) in predictions.items():
             squares.setdefault(name, []).extend(
-                part.squares(values, constants) for part in parts
+                part.residual_squares(values, constants) for part in parts
             )
-        zero = sum_of(parts).constants(none)
-        signal += [part.squares(none, zero) for part in parts]
-        unseen += parts
-    rows = sum_of(unseen)
-    used = np.where(rows.enough, rows.rows, np.nan)
+        mean = sum_row_products(parts).mean_residuals(zeros)
+        signal += [part.residual_squares(zeros, mean) for part in parts]
+        held_out += parts
+    rows = sum_row_products(held_out)
+    used = np.where(rows.has_enough_rows, rows.rows, np.nan)
     return PredictionErrors(
         method=problem.method,
-        of=of,
+        of=held_out_kind,
         channels=problem.channels,
         units=channel_units(problem.tree, problem.method),
         rows=rows.rows,
@@ -172,57 +193,70 @@ def prediction_errors(
         },
         chance={
             rival: {
-                name: _chance(each, squares[rival]) for name, each in squares.items()
+                name: _p_values(each, squares[rival]) for name, each in squares.items()
             }
-            for rival in (REFITTED, PLAIN)
+            for rival in (REFITTED, LEAST_SQUARES)
             if rival in squares
         },
     )
 
 
-def _chance(squares: Sequence[Array], rival: Sequence[Array]) -> Array:
-    """Of ratios of squares, part by part, whose logarithms are so large on average, (C,).
+def _p_values(squares: Sequence[Array], rival: Sequence[Array]) -> Array:
+    """One-sided p-values for larger mean squared errors than a rival prediction, (C,).
 
-    By Student's t over the parts, for the largest of all channels.
+    Student's t-test is applied to the logarithms of the ratios of the parts' squared errors, with
+    Bonferroni's correction for the number of channels.
 
     Args:
-        squares: What is left of every part, (parts, C).
-        rival: What the other predictions leave.
+        squares: Sums of squared errors of each part, (parts, C), for C channels.
+        rival: Sums of squared errors of the rival prediction, (parts, C).
     """
     from scipy.special import stdtr
 
-    ratio = np.log(np.add(squares, TINY) / np.add(rival, TINY))
+    ratio = np.log(
+        np.add(squares, SMALLEST_POSITIVE) / np.add(rival, SMALLEST_POSITIVE)
+    )
     count = len(ratio)
     error = ratio.std(axis=0, ddof=1) / np.sqrt(count)
-    alone = stdtr(count - 1, -ratio.mean(axis=0) / np.where(error > 0, error, np.inf))
-    return np.asarray(np.minimum(alone * ratio.shape[1], 1.0))
+    p_values = stdtr(
+        count - 1, -ratio.mean(axis=0) / np.where(error > 0, error, np.inf)
+    )
+    return np.asarray(np.minimum(p_values * ratio.shape[1], 1.0))
 
 
-def predictions_of(
+def fitted_predictions(
     rows: RowProducts, models: Mapping[str, Array]
 ) -> dict[str, Prediction]:
-    """Values and constants that suit the rows by what predicts; the file alone has none."""
-    none = np.zeros(len(rows.channels))
+    """Predictions with channel constants fitted to rows, keyed by name.
+
+    The constant of a channel is the mean residual if the constant is unknown, otherwise zero. All
+    constants of the prediction "file" are zero.
+
+    Args:
+        rows: Products of the rows.
+        models: Values of the unknowns, (p,), keyed by name of the prediction.
+    """
+    zeros = np.zeros(len(rows.channels))
     return {
-        name: (values, none if name == FILE else rows.constants(values))
+        name: (values, zeros if name == FILE else rows.mean_residuals(values))
         for name, values in models.items()
     }
 
 
-def errors_of_another(
+def errors_on_recording(
     problem: Problem, source: Source, models: Mapping[str, Array]
 ) -> PredictionErrors:
-    """What a model file and estimates leave of another recording.
+    """Prediction errors of a model file and estimates on another recording.
 
-    All but the file as it is stand about the mean of what they leave of the plate: its zero
-    belongs to a recording.
+    The zero of the force plate differs between recordings. Therefore the mean residual of each
+    channel of the plate is subtracted, except for the unchanged model file.
 
     Args:
-        problem: The other recording.
-        source: The same, faults of the instrument taken back.
-        models: Values of the unknowns by what says them.
+        problem: Problem of the other recording.
+        source: The other recording, with instrument faults corrected.
+        models: Values of the unknowns, (p,), keyed by name of the prediction.
     """
-    offset = problem.method == "external"
-    parts = products_of(problem, source, offset, whole=True, per_cutoff=ROWS_PER_CUTOFF)
-    models_of_rows = predictions_of(parts.whole, models)
-    return prediction_errors(problem, "another", [(models_of_rows, parts.each)])
+    offset = problem.method == "wrench"
+    parts = row_parts(problem, source, offset, whole=True, per_cutoff=ROWS_PER_CUTOFF)
+    models_of_rows = fitted_predictions(parts.total, models)
+    return prediction_errors(problem, "another", [(models_of_rows, parts.parts)])

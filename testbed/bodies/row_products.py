@@ -1,4 +1,4 @@
-"""Products of a recording's rows, part by part: for fits of some, and what they leave of others."""
+"""Gram matrices of a recording's regressor rows, part by part, for cross-validation."""
 
 from __future__ import annotations
 
@@ -11,123 +11,161 @@ from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
-from testbed.core.estimation.regression.passes import Columns
-from testbed.core.estimation.regression.windows import DENSE
+from testbed.core.estimation.regression.normal_equations import (
+    SMALLEST_POSITIVE,
+    NormalEquations,
+)
+from testbed.core.estimation.regression.passes import ColumnFunction
+from testbed.core.estimation.regression.windows import DENSE_ROWS_PER_CUTOFF
 from testbed.core.estimation.selection.folds import CrossProducts, Folds
-from testbed.core.kernel.records import Signals
+from testbed.core.kernel.records import SignalWindow
 from testbed.core.recordings.source import Source
 
 PARTS = 8
-"""Of a recording, one after the other."""
+"""Number of consecutive parts of a recording."""
 
-GAP = 0.3
-"""Time between a part and the rows that predict it [s]: noise and filters remember."""
+GAP_DURATION = 0.3
+"""Time between a held-out part and its training rows [s]: noise and filters correlate rows."""
 
-FASTER = 1.5
-"""Rms speed of the faster half over that of the slower one that makes it another motion."""
+MIN_SPEED_RATIO = 1.5
+"""Smallest ratio of rms speeds of the faster to the slower half for a split by speed."""
 
-ROUNDING = 1e-13
-"""Part of a column's square beside its mean that is none but for rounding."""
+ROUNDING_RATIO = 1e-13
+"""Largest ratio of a constant column's squares about the mean to its squares about zero."""
 
-FREEDOM = 8
-"""Rows beyond the unknowns that a channel alone shows, below which its noise is not known."""
+MIN_EXCESS_ROWS = 8
+"""Smallest number of rows beyond a channel's own unknowns for an estimate of its noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class RowProducts:
-    """Sums over some rows of products of their columns, of a one and of the measurement.
+    """Gram matrices of regressor columns, a constant and the measurement.
 
     Attributes:
-        unknowns: Names of the columns, (p,).
-        channels: Names, (C,).
-        products: Of a row with itself, (C, p + 2, p + 2).
-        offset: Whether each channel has a constant of its own that is not known.
+        unknowns: Names of the p regressor columns, (p,).
+        channels: Names of the C measured channels, (C,).
+        products: Sums of the outer products of rows, (C, p + 2, p + 2); a row consists of the
+            entries of the p columns, the constant 1 and the measurement at one time.
+        has_offset: True if each channel has an unknown constant.
     """
 
     unknowns: tuple[str, ...]
     channels: tuple[str, ...]
     products: Array
-    offset: bool
+    has_offset: bool
 
     @property
     def rows(self) -> Array:
-        """How many count, (C,)."""
+        """Number of rows of each channel, without rows near reversals of a joint, (C,)."""
         return self.products[:, -2, -2]
 
     @property
-    def enough(self) -> NDArray[np.bool_]:
-        """Whether rows suffice to separate a channel's noise from its unknowns, (C,)."""
-        seen = np.einsum("cii->ci", self.products)[:, :-2] > 0
-        own = (seen & (seen.sum(axis=0) == 1)).sum(axis=1)
-        return np.asarray(self.rows >= own + FREEDOM)
+    def has_enough_rows(self) -> NDArray[np.bool_]:
+        """Mask of the channels with enough rows for an estimate of the noise, (C,).
+
+        A channel has enough rows if their number exceeds the number of unknowns that no other
+        channel excites by at least `MIN_EXCESS_ROWS` (8).
+        """
+        is_excited = np.einsum("cii->ci", self.products)[:, :-2] > 0
+        own_unknowns = (is_excited & (is_excited.sum(axis=0) == 1)).sum(axis=1)
+        return np.asarray(self.rows >= own_unknowns + MIN_EXCESS_ROWS)
 
     def equations(self, lead: Array, start: Array) -> NormalEquations:
-        """Normal equations of combined columns, for what is left of the measurements.
+        """Normal equations in combinations of columns for the residuals of given unknowns.
+
+        If the channels have an unknown constant, their means are subtracted, and columns that are
+        constant in a channel up to rounding become zero.
 
         Args:
-            lead: The columns' combinations, (p, k).
-            start: Values of the unknowns whose prediction is taken off, (p,).
+            lead: Coefficients of the k combinations of columns, (p, k).
+            start: Values of the unknowns whose prediction is subtracted, (p,).
         """
-        ends = np.zeros((len(start) + 2, lead.shape[1] + 1))
-        ends[:-2, :-1], ends[:-2, -1], ends[-1, -1] = lead, -start, 1.0
-        inner = ends.T @ self.products @ ends
-        if self.offset:
-            ones = self.products[:, -2] @ ends
-            size = np.einsum("cii->ci", inner)
-            inner = (
-                inner
-                - ones[:, :, None]
-                * (ones / np.maximum(self.rows, 1.0)[:, None])[:, None]
+        coefficients = np.zeros((len(start) + 2, lead.shape[1] + 1))
+        coefficients[:-2, :-1], coefficients[:-2, -1], coefficients[-1, -1] = (
+            lead,
+            -start,
+            1.0,
+        )
+        gram = coefficients.T @ self.products @ coefficients
+        if self.has_offset:
+            sums = self.products[:, -2] @ coefficients
+            squares = np.einsum("cii->ci", gram)
+            gram = (
+                gram
+                - sums[:, :, None]
+                * (sums / np.maximum(self.rows, 1.0)[:, None])[:, None]
             )
-            moving = np.einsum("cii->ci", inner) > ROUNDING * size
-            inner = np.where(moving[:, :, None] & moving[:, None], inner, 0.0)
+            varies = np.einsum("cii->ci", gram) > ROUNDING_RATIO * squares
+            gram = np.where(varies[:, :, None] & varies[:, None], gram, 0.0)
         names = tuple(map(str, range(lead.shape[1])))
-        normal, right = inner[:, :-1, :-1], inner[:, :-1, -1]
-        square = np.maximum(inner[:, -1, -1], 0.0)
+        normal, right = gram[:, :-1, :-1], gram[:, :-1, -1]
+        square = np.maximum(gram[:, -1, -1], 0.0)
         return NormalEquations(names, self.channels, self.rows, normal, right, square)
 
-    def constants(self, values: Array) -> Array:
-        """Mean of what values of the unknowns, (p,), leave, (C,); zero where none is unknown."""
-        count = np.maximum(self.rows, 1.0)
-        mean = (self.products[:, -2, -1] - self.products[:, -2, :-2] @ values) / count
-        return mean if self.offset else np.zeros(len(count))
+    def mean_residuals(self, values: Array) -> Array:
+        """Mean residual of each channel for given unknowns, (C,).
 
-    def squares(self, values: Array, constants: Array) -> Array:
-        """Sum of squares that values and constants leave, (C,).
+        The result is zero if the channels have no unknown constant.
 
         Args:
-            values: Of the unknowns, (p,).
-            constants: Of the channels, (C,).
+            values: Values of the unknowns, (p,).
         """
-        return np.maximum(_inner(self.products, _ends(values, constants)), 0.0)
+        rows = np.maximum(self.rows, 1.0)
+        mean = (self.products[:, -2, -1] - self.products[:, -2, :-2] @ values) / rows
+        return mean if self.has_offset else np.zeros(len(rows))
 
-    def residual(self, values: Array, constants: Array | None = None) -> Array:
-        """Rms residual of unknowns (p,), by channel (C,); constants default to the mean."""
-        known = self.constants(values) if constants is None else constants
-        return np.sqrt(self.squares(values, known) / np.maximum(self.rows, 1.0))
+    def residual_squares(self, values: Array, constants: Array) -> Array:
+        """Sum of squared residuals for given unknowns and constants, (C,).
+
+        Args:
+            values: Values of the unknowns, (p,).
+            constants: Constants of the channels, (C,).
+        """
+        return np.maximum(
+            _quadratic_forms(self.products, _residual_coefficients(values, constants)),
+            0.0,
+        )
+
+    def rms_residual(self, values: Array, constants: Array | None = None) -> Array:
+        """Rms residual of each channel for given unknowns, (C,).
+
+        Args:
+            values: Values of the unknowns, (p,).
+            constants: Constants of the channels, (C,); None for the mean residual.
+        """
+        known = self.mean_residuals(values) if constants is None else constants
+        return np.sqrt(
+            self.residual_squares(values, known) / np.maximum(self.rows, 1.0)
+        )
 
 
-def _ends(values: Array, constants: Array) -> Array:
-    """Residuals as combinations of columns, one and measurement, (C, p + 2)."""
-    found = np.ones((len(constants), len(values) + 2))
-    found[:, :-2], found[:, -2] = -values, -constants
-    return found
+def _residual_coefficients(values: Array, constants: Array) -> Array:
+    """Coefficients of columns, constant and measurement in the residuals, (C, p + 2)."""
+    coefficients = np.ones((len(constants), len(values) + 2))
+    coefficients[:, :-2], coefficients[:, -2] = -values, -constants
+    return coefficients
 
 
-def _inner(products: Array, ends: Array) -> Array:
-    return np.asarray(np.einsum("ci,cij,cj->c", ends, products, ends))
+def _quadratic_forms(products: Array, coefficients: Array) -> Array:
+    """Quadratic form of each channel's Gram matrix, (C,).
+
+    Args:
+        products: Gram matrices, (C, p + 2, p + 2).
+        coefficients: Coefficients, (C, p + 2).
+    """
+    return np.asarray(np.einsum("ci,cij,cj->c", coefficients, products, coefficients))
 
 
 @dataclass(frozen=True, eq=False)
 class RowParts:
-    """Gram matrices of the regressor's rows and measurements, by consecutive parts of a recording.
+    """Gram matrices of regressor and measurement for consecutive parts of a recording.
 
     Attributes:
-        problem: Problem whose rows they are.
-        cross: Products of each part, and of all rows apart from it.
-        offset: Whether each channel has a constant that is not known.
-        speed: Mean square of each joint's speed in every part, (parts, n).
+        problem: Estimation problem of the recording.
+        cross: Gram matrices of each part, and of all rows at least `GAP_DURATION` (0.3 s) away from
+            the part.
+        offset: True if each channel has an unknown constant.
+        speed: Mean square speed of each joint in each part, (parts, n) [rad^2/s^2, m^2/s^2].
     """
 
     problem: Problem
@@ -136,116 +174,144 @@ class RowParts:
     speed: Array
 
     @property
-    def each(self) -> list[RowProducts]:
-        """Products part by part."""
-        return self._of(self.cross.unseen)
+    def parts(self) -> list[RowProducts]:
+        """Gram matrices of each part."""
+        return self._row_products(self.cross.test)
 
     @property
-    def whole(self) -> RowProducts:
-        """Products of all parts."""
-        return sum_of(self.each)
+    def total(self) -> RowProducts:
+        """Sum of the Gram matrices of all parts."""
+        return sum_row_products(self.parts)
 
     @cached_property
     def folds(self) -> list[tuple[RowProducts, RowProducts]]:
-        """Rows seen and the part to be predicted from them, for each part."""
-        return [*zip(self._of(self.cross.seen), self.each, strict=True)]
+        """Training rows and held-out part of each fold of the cross-validation.
+
+        The training rows belong to other parts and are at least `GAP_DURATION` (0.3 s) away from
+        the held-out part.
+        """
+        return [*zip(self._row_products(self.cross.training), self.parts, strict=True)]
 
     def blocks(
         self, length: int
     ) -> Iterator[tuple[RowProducts, list[tuple[int, RowProducts]]]]:
-        """Rows seen, and consecutive parts with their numbers to be predicted from them.
+        """Yield the training rows and the numbered held-out parts of each block.
+
+        A block consists of consecutive parts; the training rows are those of all other parts. With
+        a length of 1, the rows within 0.3 s of the held-out part are left out.
 
         Args:
-            length: Parts that are held out together.
+            length: Number of parts that are held out together.
         """
-        parts = [*enumerate(self.each)]
+        parts = [*enumerate(self.parts)]
         for first in range(0, len(parts), length):
             block = parts[first : first + length]
-            rest = [part for k, part in parts if not first <= k < first + length]
-            yield self.folds[first][0] if length == 1 else sum_of(rest), block
+            training = [part for k, part in parts if not first <= k < first + length]
+            yield (
+                self.folds[first][0] if length == 1 else sum_row_products(training),
+                block,
+            )
 
     @property
     def splits(self) -> dict[str, list[tuple[RowProducts, list[RowProducts]]]]:
-        """Rows that are seen, and parts to be predicted: by time, and by speed if that differs.
+        """Pairs of training rows and held-out parts, keyed by kind of split.
 
-        "like": each part by all others; "faster": the faster half of the parts by the slower one.
+        In the split "like", each part is predicted from all other parts. In the split "faster", the
+        faster half of the parts is predicted from the slower half; this split exists if the rms
+        speeds differ by a factor over `MIN_SPEED_RATIO` (1.5).
         """
-        parts = self.each
-        splits = {"like": [(seen, [part]) for seen, part in self.folds]}
-        size = np.maximum(self.speed.mean(axis=0), TINY)
-        pace = (self.speed / size).mean(axis=1)
-        slow, fast = np.split(np.argsort(pace, kind="stable"), 2)
-        if pace[fast].mean() > FASTER**2 * pace[slow].mean():
+        parts = self.parts
+        splits = {"like": [(training, [part]) for training, part in self.folds]}
+        mean_square = np.maximum(self.speed.mean(axis=0), SMALLEST_POSITIVE)
+        relative_speed = (self.speed / mean_square).mean(axis=1)
+        slow, fast = np.split(np.argsort(relative_speed, kind="stable"), 2)
+        if (
+            relative_speed[fast].mean()
+            > MIN_SPEED_RATIO**2 * relative_speed[slow].mean()
+        ):
             splits["faster"] = [
-                (sum_of([parts[k] for k in slow]), [parts[k] for k in fast])
+                (sum_row_products([parts[k] for k in slow]), [parts[k] for k in fast])
             ]
         return splits
 
-    def _of(self, products: Array) -> list[RowProducts]:
+    def _row_products(self, products: Array) -> list[RowProducts]:
+        """Gram matrices of several parts as `RowProducts` of this problem.
+
+        Args:
+            products: Gram matrices, (parts, C, p + 2, p + 2).
+        """
         names, channels = self.problem.names, self.problem.channels
         return [RowProducts(names, channels, each, self.offset) for each in products]
 
 
-def sum_of(parts: Sequence[RowProducts]) -> RowProducts:
-    """Products of several parts of a recording together.
+def sum_row_products(parts: Sequence[RowProducts]) -> RowProducts:
+    """Sum of the Gram matrices of several parts.
 
     Args:
-        parts: One or more.
+        parts: Gram matrices of the parts, at least one.
     """
     return replace(parts[0], products=np.sum([part.products for part in parts], axis=0))
 
 
-def products_of(
+def row_parts(
     problem: Problem,
     source: Source,
     offset: bool,
     whole: bool = False,
-    per_cutoff: float = DENSE,
+    per_cutoff: float = DENSE_ROWS_PER_CUTOFF,
 ) -> RowParts:
-    """Gram matrices of the regressor's rows and measurements, by parts of a recording.
+    """Gram matrices of regressor and measurement for the parts of a recording.
 
     Args:
         problem: Robot, recording and method.
-        source: The recording, faults of the instrument taken back.
-        offset: Whether each channel has a constant that is not known.
-        whole: As for `Problem.passes`.
-        per_cutoff: As for `Problem.passes`.
+        source: Recording, with instrument faults corrected.
+        offset: True if each channel has an unknown constant.
+        whole: True to include rows near reversals of a joint, unless the settings define
+            `reversal_reach`.
+        per_cutoff: Number of rows per second for each Hz of the low-pass cutoff of the rows.
     """
     width = len(problem.channels)
     passes = problem.passes(1, source, whole, per_cutoff)
-    folds = Folds.even(
-        passes.plan.rows, PARTS, round(GAP * source.rate / passes.plan.step)
+    folds = Folds.equal_size(
+        passes.plan.rows, PARTS, round(GAP_DURATION * source.rate / passes.plan.step)
     )
     speed, count = np.zeros((PARTS, problem.tree.n)), np.zeros((PARTS, 1))
 
     def blocks() -> Iterator[Array]:
         first = 0
-        every = np.eye(len(problem.names))
-        for columns, moving, measured in passes.rows_beside(
-            every, _speeds(source.rate, width)
+        identity = np.eye(len(problem.names))
+        for columns, speeds, measurement in passes.rows_with_columns(
+            identity, _speed_columns(source.rate, width)
         ):
-            used = columns.any(axis=2, keepdims=True)  # rows near a reversal are zero
-            yield np.concatenate([columns, used, measured[..., None]], axis=2)
-            for fold, rows in folds.cut(first, moving.shape[1]):
-                speed[fold] += (moving[0, rows] ** 2).sum(axis=0)
-                count[fold] += len(moving[0, rows])
-            first += moving.shape[1]
+            constant = columns.any(
+                axis=2, keepdims=True
+            )  # rows near a reversal are zero
+            yield np.concatenate([columns, constant, measurement[..., None]], axis=2)
+            for fold, rows in folds.overlaps(first, speeds.shape[1]):
+                speed[fold] += (speeds[0, rows] ** 2).sum(axis=0)
+                count[fold] += len(speeds[0, rows])
+            first += speeds.shape[1]
 
     cross = folds.products(blocks())
     return RowParts(problem, cross, offset, speed / np.maximum(count, 1))
 
 
-def _speeds(rate: float, channels: int) -> Columns:
-    """Joint speeds at the rows, by central differences, beside every channel."""
+def _speed_columns(rate: float, channels: int) -> ColumnFunction:
+    """Function that computes the joint speeds at the rows by central differences, (C, rows, n).
 
-    def speeds(signals: Signals, row: int) -> Array:
-        at = signals.start + signals.step * np.arange(signals.number)
-        q, most = signals.position, len(signals.position) - 1
-        ahead, back = (
-            np.clip(at + signals.step, 0, most),
-            np.clip(at - signals.step, 0, most),
+    Args:
+        rate: Sampling rate [1/s].
+        channels: Number of channels C.
+    """
+
+    def speeds(signals: SignalWindow, row: int) -> Array:
+        samples = signals.start + signals.step * np.arange(signals.row_count)
+        q, last = signals.position, len(signals.position) - 1
+        following, preceding = (
+            np.clip(samples + signals.step, 0, last),
+            np.clip(samples - signals.step, 0, last),
         )
-        qd = (q[ahead] - q[back]) * rate / (2 * signals.step)
+        qd = (q[following] - q[preceding]) * rate / (2 * signals.step)
         return np.broadcast_to(qd, (channels, *qd.shape))
 
     return speeds

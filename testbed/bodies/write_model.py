@@ -1,10 +1,10 @@
-"""A tree's bodies, friction and rotors written into a copy of its model file.
+"""Copies of model files with the bodies, friction and rotor inertias of trees.
 
-Nothing but those numbers changes. What was written is read again before it takes its place.
+Only these numbers change. The copy is read again and checked before it replaces a file.
 
-A tree's body is all that moves together: a link, what is fixed to it, and what hangs on joints
-that are held. Its matter goes to the link that carries the others, or to all in proportion; links
-on held joints keep their proportion, because in the file they move.
+A body of the tree consists of a link, the links fixed to it, and the links on locked joints. The
+inertia of a body is written to the carrying link, or to all its links in proportion to the file.
+Links on locked joints always keep their proportion, because these joints move in the file.
 """
 
 from __future__ import annotations
@@ -19,37 +19,38 @@ from typing import Literal
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
 from testbed.core.base.errors import ModelError
-from testbed.core.base.files import check_writable, replacing
-from testbed.core.base.whole_files import write_whole
-from testbed.core.robot.inertia import NOTHING, Inertia, upper_root
+from testbed.core.base.files import atomic_output, check_writable
+from testbed.core.base.whole_files import write_atomically
+from testbed.core.robot.inertia import ZERO_INERTIA, Inertia, upper_cholesky_factor
 from testbed.core.robot.model_file import (
     ModelFile,
     copy_model,
     model_format,
-    references,
+    referenced_files,
 )
 from testbed.core.robot.parsing import read_xml
-from testbed.core.robot.repair import Edit, FileLink, total
-from testbed.core.robot.rotations import to_quaternion
+from testbed.core.robot.repair import ModelEdit, ModelLink, total_inertia
+from testbed.core.robot.rotations import matrix_to_quaternion
 from testbed.core.robot.tree import Tree
 
-Fixed = Literal["lump", "share"]
+FixedLinkShare = Literal["lump", "share"]
 
-THIN = 1e-9
-"""Least part of a body's matter in any direction that can be shared out."""
+MIN_EIGENVALUE = 1e-9
+"""Smallest eigenvalue of a body's scaled pseudo-inertia that can be divided among links."""
 
-EXACT = 1e-9
-"""Part of a body by which what is read again may differ from what was written."""
+RELATIVE_TOLERANCE = 1e-9
+"""Relative tolerance between written and read inertias."""
 
-LOSSES = ("coulomb", "viscous", "rotor_inertia")
-"""What of a joint is written."""
+JOINT_FIELDS = ("coulomb", "viscous", "rotor_inertia")
+"""Fields of a joint that are written."""
 
-ARCHIVE = "robots.npz"
-"""Of many robots as MuJoCo's fields."""
+ARCHIVE_NAME = "robots.npz"
+"""Name of the archive with MuJoCo's fields of many robots."""
 
-ENDINGS = {"mjcf": ".xml", "urdf": ".urdf"}
+EXTENSIONS = {"mjcf": ".xml", "urdf": ".urdf"}
+"""File name extension by format."""
 
 
 def write_model(
@@ -57,40 +58,49 @@ def write_model(
     tree: Tree,
     path: Path,
     *,
-    fixed: Fixed = "lump",
+    fixed: FixedLinkShare = "lump",
     note: Sequence[str] = (),
     over_source: bool = False,
     gears: Mapping[str, float] | None = None,
     delay: float = 0.0,
 ) -> tuple[Diagnostic, ...]:
-    """Write a model file with a tree's masses, friction and rotors, all else byte for byte.
+    """Write a copy of a model file with a tree's masses, friction and rotors.
+
+    All other bytes are unchanged. The copy is read again and checked before it is written.
 
     Args:
-        model: The file, and how it was read.
-        tree: Of the file's joints, with other numbers.
-        path: Where to.
-        fixed: What of a body goes to links that are fixed to others: nothing ("lump"), or what
-            is in proportion to what they had ("share").
-        note: Lines of a comment: where the numbers come from.
-        over_source: Whether `path` may be the model file itself.
-        gears: By joint, true torque over what its drive reports: into MJCF's motors, one more
-            where a joint has none.
-        delay: From a command to its torque, of those motors [s].
+        model: Model file, and the options it was read with.
+        tree: Tree with the joints of the file and other numbers.
+        path: Path of the copy.
+        fixed: Part of a body's inertia that is written to links fixed to other links: none
+            ("lump"), or a part in proportion to their inertia in the file ("share").
+        note: Lines of a comment on the source of the numbers.
+        over_source: True if `path` may be the model file itself.
+        gears: Ratios of true torque to the torque that the drive reports, keyed by joint: factors
+            on the gears of MJCF motors, which are added where missing.
+        delay: Delay from a command to its torque for these motors [s].
 
     Returns:
-        What the format has no place for, what readers will make otherwise.
+        Diagnostics of values that the format cannot express or that readers change.
 
     Raises:
-        ModelError: The file cannot be edited, or is not to be overwritten, or `path` has not the
-            ending of its format.
+        ModelError: The file cannot be edited or must not be overwritten, or `path` has the wrong
+            extension for its format, or the copy does not have the tree's inertias when it is read
+            again.
+        OSError: The path is not writable.
     """
-    check_place(model.path, path, over_source=over_source)
-    (change,) = changes_of(model, [tree], fixed)
-    change = replace(change, gears=gears or {}, delay=delay)
-    ((data, said),) = _edited(model, [change], note)
-    unread = _check(model, data, tree)
-    write_whole(path, data)
-    return (*change.diagnostics, *said, *unread, *_lost_files(model.path, path))
+    check_copy_path(model.path, path, over_source=over_source)
+    (change,) = model_edits(model, [tree], fixed)
+    change = replace(change, torque_ratios=gears or {}, delay=delay)
+    ((data, diagnostics),) = _edited_copies(model, [change], note)
+    read_diagnostics = _check_copy(model, data, tree)
+    write_atomically(path, data)
+    return (
+        *change.diagnostics,
+        *diagnostics,
+        *read_diagnostics,
+        *_missing_references(model.path, path),
+    )
 
 
 def write_models(
@@ -98,55 +108,69 @@ def write_models(
     trees: Sequence[Tree],
     folder: Path,
     *,
-    fixed: Fixed = "lump",
+    fixed: FixedLinkShare = "lump",
     note: Sequence[str] = (),
 ) -> tuple[Diagnostic, ...]:
-    """Write a copy of a model file for each of many trees, and `robots.npz` with all of them.
+    """Write one copy of a model file for each tree, and `robots.npz` with all trees.
 
-    The archive holds MuJoCo's fields for the bodies and joints that it names (`bodies`, `joints`):
-    body_mass, body_ipos, body_inertia and body_iquat, (N, bodies, ...), dof_frictionloss,
-    dof_damping and dof_armature, (N, joints). The first file is read again before the folder takes
-    its place.
+    The archive contains MuJoCo's fields of the N robots for the named bodies and joints (`bodies`,
+    `joints`): body_mass, body_ipos, body_inertia and body_iquat, (N, bodies, ...),
+    dof_frictionloss, dof_damping and dof_armature, (N, joints). The first copy is read again and
+    checked before the new folder replaces an existing folder.
 
     Args:
-        model: The file, and how it was read.
-        trees: Of the file's joints, with other numbers; at least one.
-        folder: Where to: NAME_0000 and so on.
+        model: Model file, and the options it was read with.
+        trees: Trees with the joints of the file and other numbers; at least one.
+        folder: Folder for the copies NAME_0000 and so on.
         fixed: As for `write_model`.
         note: As for `write_model`.
 
     Returns:
-        As `write_model`, of the first.
+        Diagnostics of the first copy, as returned by `write_model`.
 
     Raises:
         ModelError: The file cannot be edited.
         OSError: The folder cannot be written.
     """
-    changes = changes_of(model, trees, fixed)
-    ending, said = ENDINGS[model_format(model.path)], list(changes[0].diagnostics)
-    with replacing(folder, folder=True) as fresh:
-        fresh.mkdir()
-        for k, (data, more) in enumerate(_edited(model, changes, note)):
+    changes = model_edits(model, trees, fixed)
+    extension, diagnostics = (
+        EXTENSIONS[model_format(model.path)],
+        list(changes[0].diagnostics),
+    )
+    with atomic_output(folder, folder=True) as new_folder:
+        new_folder.mkdir()
+        for k, (data, edit_diagnostics) in enumerate(
+            _edited_copies(model, changes, note)
+        ):
             if k == 0:
-                said += [*more, *_check(model, data, trees[0])]
-            (fresh / f"{model.path.stem}_{k:04d}{ending}").write_bytes(data)
-        np.savez(fresh / ARCHIVE, allow_pickle=False, **mujoco_fields(changes, trees))
-    return (*said, *_lost_files(model.path, folder / ARCHIVE))
+                diagnostics += [*edit_diagnostics, *_check_copy(model, data, trees[0])]
+            (new_folder / f"{model.path.stem}_{k:04d}{extension}").write_bytes(data)
+        np.savez(
+            new_folder / ARCHIVE_NAME,
+            allow_pickle=False,
+            **mujoco_fields(changes, trees),
+        )
+    return (*diagnostics, *_missing_references(model.path, folder / ARCHIVE_NAME))
 
 
-def changes_of(model: ModelFile, trees: Sequence[Tree], fixed: Fixed) -> list[Edit]:
-    """What makes trees of a model file.
+def model_edits(
+    model: ModelFile, trees: Sequence[Tree], fixed: FixedLinkShare
+) -> list[ModelEdit]:
+    """Edits of a model file for the numbers of several trees, one per tree.
+
+    An edit contains the bodies and joint fields that differ from the file as read, and all repairs
+    of inertias that were made when the file was read.
 
     Args:
-        model: The file, and how it was read.
-        trees: Of the file's joints, with other numbers.
+        model: Model file, and the options it was read with.
+        trees: Trees with the joints of the file and other numbers.
         fixed: As for `write_model`.
     """
     file = model.tree()
     source = model.read()
-    repair = source.repair.links
-    links = [replace(x, inertia=repair.get(x.name, x.inertia)) for x in source.links]
-    found = []
+    repaired = source.repair.links
+    links = [replace(x, inertia=repaired.get(x.name, x.inertia)) for x in source.links]
+    edits = []
     for tree in trees:
         bodies = {
             k: new
@@ -155,32 +179,43 @@ def changes_of(model: ModelFile, trees: Sequence[Tree], fixed: Fixed) -> list[Ed
             )
             if not np.array_equal(old.pseudo, new.pseudo)
         }
-        inertias, said = share_out(links, bodies, fixed)
+        inertias, diagnostics = distribute_inertias(links, bodies, fixed)
         joints = {
             old.name: {
-                k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)
+                k: getattr(new, k)
+                for k in JOINT_FIELDS
+                if getattr(new, k) != getattr(old, k)
             }
             for old, new in zip(file.joints, tree.joints, strict=True)
         }
-        found.append(Edit({**repair, **inertias}, joints, diagnostics=said))
-    return found
+        edits.append(
+            ModelEdit({**repaired, **inertias}, joints, diagnostics=diagnostics)
+        )
+    return edits
 
 
-def mujoco_fields(changes: Sequence[Edit], trees: Sequence[Tree]) -> dict[str, Array]:
-    """What `write_models` keeps in its archive.
+def mujoco_fields(
+    changes: Sequence[ModelEdit], trees: Sequence[Tree]
+) -> dict[str, Array]:
+    """Arrays of MuJoCo's mass, inertia and joint fields of N robots, keyed by name.
+
+    "bodies" and "joints" contain names. The other arrays are body_mass, (N, bodies) [kg];
+    body_ipos, centres of mass, (N, bodies, 3) [m]; body_inertia, principal moments, (N, bodies, 3)
+    [kg m^2]; body_iquat, quaternions of the principal axes, (N, bodies, 4); dof_frictionloss,
+    dof_damping and dof_armature, (N, joints).
 
     Args:
-        changes: One a tree, all of the same links.
-        trees: The robots.
+        changes: Edits of the model file, one per tree, all with the same links.
+        trees: Trees of the robots.
     """
     bodies = list(changes[0].links)
     links = [[each.links[name] for name in bodies] for each in changes]
     central = np.array([[link.central for link in each] for each in links])
     moments, axes = np.linalg.eigh(central.reshape(len(links), len(bodies), 3, 3))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    quaternions = to_quaternion(axes.reshape(-1, 3, 3))
+    quaternions = matrix_to_quaternion(axes.reshape(-1, 3, 3))
     losses = np.array(
-        [[[getattr(j, k) for k in LOSSES] for j in tree.joints] for tree in trees]
+        [[[getattr(j, k) for k in JOINT_FIELDS] for j in tree.joints] for tree in trees]
     )
     fields = ("dof_frictionloss", "dof_damping", "dof_armature")
     return {
@@ -194,10 +229,16 @@ def mujoco_fields(changes: Sequence[Edit], trees: Sequence[Tree]) -> dict[str, A
     }
 
 
-def _edited(
-    model: ModelFile, changes: Sequence[Edit], note: Sequence[str]
+def _edited_copies(
+    model: ModelFile, changes: Sequence[ModelEdit], note: Sequence[str]
 ) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
-    """The file's bytes with each of the changes, and what the format has no place for."""
+    """Edited copies of a model file's bytes, with diagnostics of values that cannot be written.
+
+    Args:
+        model: Model file.
+        changes: Edits, one for each copy.
+        note: Lines of a comment.
+    """
     if model_format(model.path) == "mjcf":
         from testbed.bodies.edit_mjcf import edit_mjcf as edit
     else:
@@ -205,23 +246,23 @@ def _edited(
     return edit(model.path, changes, [*note])
 
 
-def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
-    """Whether a file may be written there.
+def check_copy_path(source: Path, path: Path, *, over_source: bool = False) -> None:
+    """Check that a copy of a model file may be written to a path.
 
     Args:
-        source: The model file.
-        path: Where to.
-        over_source: Whether that may be the model file itself.
+        source: Model file.
+        path: Path of the copy.
+        over_source: True if the path may be that of the model file itself.
 
     Raises:
-        ModelError: It may not.
-        OSError: There is something else, or the place may not be written to.
+        ModelError: The path has the wrong extension or is that of the model file.
+        OSError: The path is not writable.
     """
-    ending = ENDINGS[model_format(source)]
-    if path.suffix.lower() != ending:
+    extension = EXTENSIONS[model_format(source)]
+    if path.suffix.lower() != extension:
         raise ModelError(
             f"'{path}': the model file '{source.name}' is copied with other numbers, so its name "
-            f"ends in {ending}"
+            f"ends in {extension}"
         )
     if path.exists() and path.samefile(source) and not over_source:
         raise ModelError(
@@ -230,63 +271,96 @@ def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
     check_writable(path)
 
 
-def share_out(
-    links: Sequence[FileLink], bodies: Mapping[int, Inertia], fixed: Fixed
+def distribute_inertias(
+    links: Sequence[ModelLink], bodies: Mapping[int, Inertia], fixed: FixedLinkShare
 ) -> tuple[dict[str, Inertia], tuple[Diagnostic, ...]]:
-    """What each link gets.
+    """Distribute the inertias of bodies among the links of the model file.
+
+    A body whose inertia in the file is nearly degenerate cannot be divided: its first link receives
+    the whole inertia, and a diagnostic is returned. Links that have no inertia and receive none are
+    omitted.
 
     Args:
-        links: All, carriers before what they carry.
-        bodies: New inertias of some of the tree's bodies, by index.
-        fixed: "lump" gives all of what is fixed together to the link that carries the rest;
-            "share" gives to every link in proportion to what it had.
+        links: All links, parents before children.
+        bodies: New inertias of bodies of the tree, keyed by index.
+        fixed: "lump" to write the sum of fixed links to the carrying link, "share" to keep the
+            proportions of all links in the file.
 
     Returns:
-        Inertias by link, about and along its frame; and what could not be shared.
+        Inertias in the link frames, keyed by link, and diagnostics of bodies that cannot be
+        divided.
     """
-    found: dict[str, Inertia] = {}
-    said: list[Diagnostic] = []
+    inertias: dict[str, Inertia] = {}
+    diagnostics: list[Diagnostic] = []
     for body, whole in bodies.items():
-        own = [link for link in links if link.body == body]
-        groups: dict[str, list[FileLink]] = {}  # by the link that gets what is theirs
-        for link in own:
+        body_links = [link for link in links if link.body == body]
+        groups: dict[str, list[ModelLink]] = {}  # by receiving link
+        for link in body_links:
             groups.setdefault(
-                link.name if fixed == "share" else link.carrier, []
+                link.name if fixed == "share" else link.fixed_carrier, []
             ).append(link)
-        parts = _in_proportion(own, whole) if len(groups) > 1 else None
+        parts = _proportional_inertias(body_links, whole) if len(groups) > 1 else None
         if len(groups) > 1 and parts is None:
-            said.append(diagnose("model.shared", own[0].name))
-            groups = {own[0].name: own}
+            diagnostics.append(make_diagnostic("model.shared", body_links[0].name))
+            groups = {body_links[0].name: body_links}
         for group in groups.values():
-            lump = whole if parts is None else total(parts[link.name] for link in group)
-            found |= {link.name: NOTHING for link in group}
-            found[group[0].name] = lump.moved(group[0].X_BL.inverse)
-    bare = {link.name for link in links if not link.inertia.pseudo.any()}
-    kept = {name: own for name, own in found.items() if own.mass or name not in bare}
-    return kept, tuple(said)
+            lump = (
+                whole
+                if parts is None
+                else total_inertia(parts[link.name] for link in group)
+            )
+            inertias |= {link.name: ZERO_INERTIA for link in group}
+            inertias[group[0].name] = lump.transformed(group[0].X_BL.inverse)
+    massless = {link.name for link in links if not link.inertia.pseudo.any()}
+    written = {
+        k: inertia
+        for k, inertia in inertias.items()
+        if inertia.mass or k not in massless
+    }
+    return written, tuple(diagnostics)
 
 
-def _in_proportion(
-    own: Sequence[FileLink], whole: Inertia
+def _proportional_inertias(
+    links: Sequence[ModelLink], inertia: Inertia
 ) -> dict[str, Inertia] | None:
-    """Parts that make up a body, by link, about the body's frame; None where there is no measure.
+    """Inertias of a body's links in proportion to the file, in the body frame.
 
-    One affine map and one factor take the file's matter to the new one: all parts go along, and
-    each stays such as a body can have.
+    A linear map L transforms the pseudo-inertias J of all links to L J L', so that their sum is the
+    new inertia and every part stays physically possible. The result is None if the smallest
+    eigenvalue of the body's pseudo-inertia in the file, scaled to unit diagonal, is below
+    `MIN_EIGENVALUE`.
+
+    Args:
+        links: Links of the body.
+        inertia: New inertia of the body, about and along its frame.
     """
-    before = total(link.in_body for link in own).pseudo
-    scale = np.sqrt(np.abs(np.diagonal(before)))
+    file_inertia = total_inertia(link.inertia_in_body for link in links).pseudo
+    scale = np.sqrt(np.abs(np.diagonal(file_inertia)))
     if not (scale > 0).all():
         return None
-    if np.linalg.eigvalsh(before / np.outer(scale, scale))[0] < THIN:
+    if np.linalg.eigvalsh(file_inertia / np.outer(scale, scale))[0] < MIN_EIGENVALUE:
         return None
-    change = upper_root(whole.pseudo) @ np.linalg.inv(upper_root(before))
-    parts = {link.name: change @ link.in_body.pseudo @ change.T for link in own}
+    linear_map = upper_cholesky_factor(inertia.pseudo) @ np.linalg.inv(
+        upper_cholesky_factor(file_inertia)
+    )
+    parts = {
+        link.name: linear_map @ link.inertia_in_body.pseudo @ linear_map.T
+        for link in links
+    }
     return {name: Inertia.of_pseudo(part) for name, part in parts.items()}
 
 
-def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, ...]:
-    """Whether what is to be written is read as it is meant; a diagnostic where losses are not."""
+def _check_copy(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, ...]:
+    """Read a copy again, check its inertias, and diagnose differences in friction.
+
+    Args:
+        model: Model file, and the options it was read with; referenced files are copied along.
+        data: Bytes of the copy.
+        tree: Tree that was written.
+
+    Raises:
+        ModelError: Inertias differ from those of the tree by over `RELATIVE_TOLERANCE` (1e-9).
+    """
     with tempfile.TemporaryDirectory() as folder:
         copy = copy_model(model.path, Path(folder))
         copy.write_bytes(data)
@@ -294,26 +368,35 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, ...]:
     owners = [*(f"link '{joint.body}'" for joint in tree.joints), "the pedestal"]
     before, after = ((*each.inertias, each.pedestal) for each in (read, tree))
     for owner, old, new in zip(owners, before, after, strict=True):
-        near = EXACT * np.abs(new.tensor).max()
-        same = np.allclose(old.tensor, new.tensor, rtol=0, atol=near)
-        if not (same and math.isclose(old.mass, new.mass, rel_tol=EXACT)):
+        tolerance = RELATIVE_TOLERANCE * np.abs(new.tensor).max()
+        is_equal = np.allclose(old.tensor, new.tensor, rtol=0, atol=tolerance)
+        if not (
+            is_equal and math.isclose(old.mass, new.mass, rel_tol=RELATIVE_TOLERANCE)
+        ):
             raise ModelError(
                 f"{model.path}: {owner} would not be read as it is written; nothing was written"
             )
-    unread = [
+    different_friction = [
         new.name
         for old, new in zip(read.joints, tree.joints, strict=True)
         if (old.coulomb, old.viscous) != (new.coulomb, new.viscous)
     ]
-    return (diagnose("model.friction-unread", ", ".join(unread)),) if unread else ()
+    return (
+        (make_diagnostic("model.friction-unread", ", ".join(different_friction)),)
+        if different_friction
+        else ()
+    )
 
 
-def _lost_files(source: Path, path: Path) -> tuple[Diagnostic, ...]:
-    """A diagnostic where what the file refers to is not found from its new place."""
-    if path.resolve().parent == source.resolve().parent or not references(source):
+def _missing_references(source: Path, path: Path) -> tuple[Diagnostic, ...]:
+    """Diagnostic of relative file references that a copy in another folder breaks.
+
+    There is no diagnostic if the folder is the same or all mesh names are addresses with "://".
+    """
+    if path.resolve().parent == source.resolve().parent or not referenced_files(source):
         return ()
     names = [mesh.get("filename", "") for mesh in read_xml(source).iter("mesh")]
     # addresses of packages, whatever the place
     if names and all("://" in name for name in names):
         return ()
-    return (diagnose("model.lost-files", str(source), folder=path.parent),)
+    return (make_diagnostic("model.lost-files", str(source), folder=path.parent),)

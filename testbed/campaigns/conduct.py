@@ -1,4 +1,4 @@
-"""Carry out a campaign: its runs that have no result yet, on several processes."""
+"""Execution of a campaign: runs without a result, on several processes."""
 
 from __future__ import annotations
 
@@ -23,42 +23,43 @@ import testbed
 from testbed.campaigns.campaign import Campaign
 from testbed.campaigns.results import (
     PARAMETER_NUMBERS,
-    RESULTS,
-    read_results,
+    RESULTS_FILE,
+    read_campaign_results,
     write_rows,
 )
 from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.contents import fingerprint
-from testbed.core.base.errors import ExperimentError, TestbedError, printable
-from testbed.core.base.installation import versions
-from testbed.core.base.stages import Progress, unreported
-from testbed.core.robot.model_file import references
+from testbed.core.base.contents import sha256_of_file
+from testbed.core.base.errors import ExperimentError, TestbedError, printable_line
+from testbed.core.base.installation import package_versions
+from testbed.core.base.stages import Progress, ignore_progress
+from testbed.core.robot.model_file import referenced_files
 from testbed.lab.experiment.experiment import Experiment
 
 SAVE_EVERY = 10.0
-"""Seconds between two writings of the table."""
+"""Time between two writings of the table [s]."""
 
-ASIDE: Any = {"model": True, "name": True, "claim": True, "motion": {"file"}}
-"""Keys of an experiment that do not determine its result; files do by their content."""
+EXCLUDED_KEYS: Any = {"model": True, "name": True, "claim": True, "motion": {"file"}}
+"""Keys of an experiment that do not affect the result; files count by their content."""
 
 
 @dataclass(frozen=True)
 class CampaignRun:
-    """One run of a campaign.
+    """Run of a campaign, identified by a hash of its inputs.
 
     Attributes:
-        run: Hash of all that determines its result.
-        cell: Number of its cell.
-        replicate: Number of its replicate.
+        digest: Hash of all inputs that determine the result: experiment, methods, contents of model
+            and motion files, versions of code and packages.
+        cell: Index of the cell.
+        replicate: Index of the replicate.
     """
 
-    run: str
+    digest: str
     cell: int
     replicate: int
 
 
-def places_of(campaign: Campaign) -> list[CampaignRun]:
-    """List the runs of a campaign, replicate by replicate and in each cell by cell.
+def campaign_runs(campaign: Campaign) -> list[CampaignRun]:
+    """Runs of a campaign, ordered by replicate, then by cell.
 
     Args:
         campaign: The campaign.
@@ -67,32 +68,35 @@ def places_of(campaign: Campaign) -> list[CampaignRun]:
         TestbedError: The experiment of a run cannot be read.
     """
     digest, code = cache(_model_digest), code_version()
-    places = []
+    runs = []
     for replicate, cell in product(
         range(campaign.tables.replicates), range(len(campaign.cells))
     ):
         experiment = campaign.experiment(cell, replicate)
-        parts = [experiment.model_dump_json(exclude=ASIDE)]
+        parts = [experiment.model_dump_json(exclude=EXCLUDED_KEYS)]
         parts += [*campaign.tables.methods, code, digest(experiment.model)]
         if experiment.motion.file:
-            parts.append(fingerprint(Path(experiment.motion.file)))
+            parts.append(sha256_of_file(Path(experiment.motion.file)))
         run = hashlib.sha256("\n".join(parts).encode()).hexdigest()
-        places.append(CampaignRun(run, cell, replicate))
-    return places
+        runs.append(CampaignRun(run, cell, replicate))
+    return runs
 
 
 def _model_digest(path: str) -> str:
-    """Digest of a model file and of all files that it refers to."""
-    files = sorted({Path(path).resolve(), *references(Path(path))})
-    return " ".join(fingerprint(file) for file in files)
+    """Text with the hashes of a model file and of the files it refers to.
+
+    The hashes are in the order of the paths.
+    """
+    files = sorted({Path(path).resolve(), *referenced_files(Path(path))})
+    return " ".join(sha256_of_file(file) for file in files)
 
 
 @cache
 def code_version() -> str:
-    """Digest of the package's modules, and of the versions of the packages that it uses."""
-    home = Path(testbed.__file__).parent
-    digest = hashlib.sha256(repr(sorted(versions().items())).encode())
-    for path in sorted(home.rglob("*.py")):
+    """Hash of testbed's modules and of the versions of its dependencies."""
+    package_folder = Path(testbed.__file__).parent
+    digest = hashlib.sha256(repr(sorted(package_versions().items())).encode())
+    for path in sorted(package_folder.rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -102,31 +106,35 @@ def conduct(
     folder: Path,
     workers: int = 0,
     limit: int | None = None,
-    progress: Progress = unreported,
+    progress: Progress = ignore_progress,
 ) -> None:
-    """Carry out the runs of a campaign that have no result yet.
+    """Carry out the runs of a campaign that have no result, and write the table.
+
+    Runs that failed in an earlier call are repeated. Rows of finished runs are written even if the
+    call ends with an exception.
 
     Args:
-        campaign: What to do.
-        folder: Folder of the table, which is written again every few seconds.
-        workers: Number of processes; 0 for this one.
-        limit: Largest number of runs; default all.
-        progress: Called with the number of rows and of runs.
+        campaign: The campaign.
+        folder: Folder of the table `RESULTS_FILE`, which is rewritten every `SAVE_EVERY` seconds.
+        workers: Number of processes; 0 to use this process only.
+        limit: Largest number of runs to carry out; default all.
+        progress: Called with the number of rows and the number of all runs.
 
     Raises:
-        TestbedError: The table is another campaign's, cannot be read, or a process has died.
+        TestbedError: The table belongs to another campaign or cannot be read, or a process has
+            died. Errors of single runs are not raised but recorded in their rows (`carry_out_run`).
     """
-    path, places = folder / RESULTS, places_of(campaign)
-    rows = _finished(path, places)
-    missing = [place for place in places if place.run not in rows][:limit]
+    path, runs = folder / RESULTS_FILE, campaign_runs(campaign)
+    rows = _finished_rows(path, runs)
+    missing_runs = [run for run in runs if run.digest not in rows][:limit]
     start = time.monotonic()
     try:
-        with closing(_carried_out(campaign, missing, workers)) as results:
+        with closing(_result_rows(campaign, missing_runs, workers)) as results:
             for row in results:
                 rows[row["run"]] = row
-                progress(len(rows), len(places))
+                progress(len(rows), len(runs))
                 if time.monotonic() - start > SAVE_EVERY:
-                    _write(path, campaign, places, rows)
+                    _write_table(path, campaign, runs, rows)
                     start = time.monotonic()
     except BrokenProcessPool:
         raise ExperimentError(
@@ -134,14 +142,23 @@ def conduct(
             "command with fewer --workers goes on with the rest"
         ) from None
     finally:
-        _write(path, campaign, places, rows)
+        _write_table(path, campaign, runs, rows)
 
 
-def _finished(path: Path, places: Sequence[CampaignRun]) -> dict[str, dict[str, Any]]:
-    """Rows with a result, by run.
+def _finished_rows(
+    path: Path, runs: Sequence[CampaignRun]
+) -> dict[str, dict[str, Any]]:
+    """Rows of the table with status "done", keyed by the run's digest.
+
+    The result is empty if there is no table.
+
+    Args:
+        path: File of the table.
+        runs: Runs of the campaign.
 
     Raises:
-        ExperimentError: The folder is no campaign's, or of other runs.
+        ExperimentError: The folder contains other files but no table, or the table contains other
+            runs.
     """
     if not path.exists():
         if path.parent.exists() and any(path.parent.iterdir()):
@@ -150,9 +167,11 @@ def _finished(path: Path, places: Sequence[CampaignRun]) -> dict[str, dict[str, 
             )
         return {}
     rows = {
-        row["run"]: row for row in read_results(path).rows if row["status"] == "done"
+        row["run"]: row
+        for row in read_campaign_results(path).rows
+        if row["status"] == "done"
     }
-    if rows.keys() - {place.run for place in places}:
+    if rows.keys() - {run.digest for run in runs}:
         raise ExperimentError(
             f"'{path}' has runs of another campaign, or of another version of testbed, Python or "
             "its packages; name another folder with --out"
@@ -160,68 +179,96 @@ def _finished(path: Path, places: Sequence[CampaignRun]) -> dict[str, dict[str, 
     return rows
 
 
-def _write(
+def _write_table(
     path: Path,
     campaign: Campaign,
-    places: Sequence[CampaignRun],
+    runs: Sequence[CampaignRun],
     rows: Mapping[str, Mapping[str, Any]],
 ) -> None:
-    """Write the rows that there are, each with its place in the campaign."""
+    """Write the available rows in the order of the runs.
+
+    Columns for digest, cell, replicate and levels are added.
+
+    Args:
+        path: File of the table.
+        campaign: The campaign.
+        runs: Runs of the campaign.
+        rows: Rows with a result, keyed by the run's digest.
+    """
     table = []
-    for place in places:
-        if place.run in rows:
-            levels = campaign.cells[place.cell].levels
-            named = {
+    for run in runs:
+        if run.digest in rows:
+            levels = campaign.cells[run.cell].levels
+            level_columns = {
                 f"factor/{k}": v for k, v in zip(campaign.factors, levels, strict=True)
             }
-            table.append({**rows[place.run], **vars(place), **named})
+            table.append({**rows[run.digest], **vars(run), **level_columns})
     write_rows(path, campaign, table)
 
 
-def _carried_out(
-    campaign: Campaign, places: Sequence[CampaignRun], workers: int
+def _result_rows(
+    campaign: Campaign, runs: Sequence[CampaignRun], workers: int
 ) -> Generator[dict[str, Any]]:
-    """Rows of runs, in order."""
-    run = partial(carry_out_run, campaign)
+    """Carry out runs on worker processes, and yield their rows in the order of `runs`.
+
+    Args:
+        campaign: The campaign.
+        runs: Runs to carry out.
+        workers: Number of processes; 0 to use this process only.
+    """
+    run_in_campaign = partial(carry_out_run, campaign)
     if not workers:
-        yield from map(run, places)
+        yield from map(run_in_campaign, runs)
         return
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, _leave_interrupts)
+    pool = ProcessPoolExecutor(workers, context, _ignore_interrupts)
     try:
-        yield from pool.map(run, places)
+        yield from pool.map(run_in_campaign, runs)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _leave_interrupts() -> None:
-    """Leave Ctrl-C to the command."""
+def _ignore_interrupts() -> None:
+    """Ignore Ctrl-C in a worker process; the main process handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def carry_out_run(campaign: Campaign, place: CampaignRun) -> dict[str, Any]:
-    """Row of a run; a failure is a row like any other.
+def carry_out_run(campaign: Campaign, run: CampaignRun) -> dict[str, Any]:
+    """Carry out a run, and return its table row with results or error message.
+
+    If an exception occurs, it is not raised; the status is "failed" instead of "done".
 
     Args:
-        campaign: Whose run it is.
-        place: Which.
+        campaign: The campaign.
+        run: Run of the campaign.
     """
-    seed = campaign.tables.seed + place.replicate
-    row: dict[str, Any] = {"run": place.run, "seed": seed, "status": "done"}
-    row |= {"error": "", "command": campaign.command(place.cell, place.replicate)}
+    seed = campaign.tables.seed + run.replicate
+    row: dict[str, Any] = {"run": run.digest, "seed": seed, "status": "done"}
+    row |= {"error": "", "command": campaign.command(run.cell, run.replicate)}
     try:
         with warnings.catch_warnings(), one_blas_thread():
-            # numerical doubt is a diagnostic of the result
+            # numerical problems are diagnostics of the result
             warnings.simplefilter("ignore")
-            experiment = campaign.experiment(place.cell, place.replicate)
-            return row | _results(experiment, campaign)
+            experiment = campaign.experiment(run.cell, run.replicate)
+            return row | _result_columns(experiment, campaign)
     except Exception as error:
         name = "" if isinstance(error, TestbedError) else f"{type(error).__name__}: "
-        return row | {"status": "failed", "error": printable(name + str(error))}
+        return row | {"status": "failed", "error": printable_line(name + str(error))}
 
 
-def _results(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
-    """Metrics, estimates and diagnostics of an experiment, by column."""
+def _result_columns(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
+    """Metrics, estimates and diagnostic codes of a simulated experiment, by column.
+
+    The columns are "metric/NAME", "estimates" (for each parameter a dictionary of method, name,
+    truth, value, sigma and relative error), and "diagnostics".
+
+    Args:
+        experiment: Experiment of the run.
+        campaign: The campaign, which defines the methods of identification.
+
+    Raises:
+        ExperimentError: No method gave an estimate.
+    """
     from testbed.lab.experiment.evaluate import evaluate
     from testbed.lab.experiment.record import record
 
@@ -233,8 +280,8 @@ def _results(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
     estimates = []
     for method, estimate in run.estimates.items():
         errors = run.score.errors[method]
-        found = errors.truth, estimate.values, estimate.sigma, errors.relative
-        for name, numbers in zip(estimate.names, np.transpose(found), strict=True):
+        columns = errors.truth, estimate.values, estimate.sigma, errors.relative
+        for name, numbers in zip(estimate.names, np.transpose(columns), strict=True):
             row = dict(zip(PARAMETER_NUMBERS, numbers.tolist(), strict=True))
             estimates.append({"method": method, "parameter": name} | row)
     metrics = {f"metric/{name}": value for name, value in run.score.metrics.items()}

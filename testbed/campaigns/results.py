@@ -1,4 +1,4 @@
-"""The table of a campaign, one Parquet file: a row a run, written as a whole, checked when read."""
+"""Results table of a campaign: one Parquet file, a row for each run."""
 
 from __future__ import annotations
 
@@ -12,32 +12,33 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from testbed.campaigns.campaign import Campaign
-from testbed.core.base.errors import RecordingError, printable
-from testbed.core.base.files import replacing
+from testbed.core.base.errors import RecordingError, printable_line
+from testbed.core.base.files import atomic_output
 from testbed.lab.experiment.experiment_tables import METRICS
 
-RESULTS = "results.parquet"
+RESULTS_FILE = "results.parquet"
 """Name of the table in a campaign's folder."""
 
 FORMAT = "testbed campaign 2"
-"""Name and version of the layout, kept in the file."""
+"""Name and version of the layout, stored in the file."""
 
-KEY = b"testbed"
+METADATA_KEY = b"testbed"
 """Key of the campaign's name and claim in the metadata of the schema."""
 
-MAX_REASON = 130
-"""Characters of why a table is refused."""
+MAX_REASON_LENGTH = 130
+"""Largest number of characters of the reason why a table is refused."""
 
 TEXT, NUMBER, INTEGER = pa.string(), pa.float64(), pa.int64()
+"""Arrow types of columns."""
 
 PARAMETER_NUMBERS = ("truth", "value", "sigma", "relative_error")
-"""Of one parameter of an estimate."""
+"""Numbers stored for a parameter of an estimate."""
 
 PARAMETER = pa.struct(
     dict.fromkeys(("method", "parameter"), TEXT)
     | dict.fromkeys(PARAMETER_NUMBERS, NUMBER)
 )
-"""One parameter of an estimate."""
+"""Arrow type of a parameter of an estimate."""
 
 COLUMNS = {
     **dict.fromkeys(("run", "status", "error", "command"), TEXT),
@@ -45,42 +46,45 @@ COLUMNS = {
     "estimates": pa.list_(PARAMETER),
     "diagnostics": pa.list_(TEXT),
 }
-"""Columns of every table; those of factors and metrics are its campaign's."""
+"""Columns of every table; columns of factors and metrics are added."""
 
-NULLABLE = ("estimates", "diagnostics")
-"""Columns that are empty where a run failed."""
+NULLABLE_COLUMNS = ("estimates", "diagnostics")
+"""Columns that are empty for a failed run."""
 
 
 def write_rows(
     path: Path, campaign: Campaign, rows: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Write a table; it appears whole or not at all.
+    """Write the results table of a campaign in one atomic step.
 
     Args:
         path: The file.
-        campaign: Whose runs they are.
-        rows: A row a run.
+        campaign: The campaign of the runs.
+        rows: One row per run, keyed by the names in `COLUMNS`, "factor/NAME" and "metric/NAME";
+            missing values are null.
     """
     columns = dict(COLUMNS)
     for k, name in enumerate(campaign.factors):
-        named = any(isinstance(cell.levels[k], str) for cell in campaign.cells)
-        columns[f"factor/{name}"] = TEXT if named else NUMBER
+        has_names = any(isinstance(cell.levels[k], str) for cell in campaign.cells)
+        columns[f"factor/{name}"] = TEXT if has_names else NUMBER
     columns |= {f"metric/{name}": NUMBER for name in METRICS}
     tables = campaign.tables
-    about = {"format": FORMAT, "name": tables.name, "claim": tables.claim}
-    schema = pa.schema(columns, metadata={KEY: json.dumps(about)})
-    with replacing(path) as fresh:
-        pq.write_table(pa.Table.from_pylist(rows, schema), fresh, compression="zstd")
+    description = {"format": FORMAT, "name": tables.name, "claim": tables.claim}
+    schema = pa.schema(columns, metadata={METADATA_KEY: json.dumps(description)})
+    with atomic_output(path) as temporary_path:
+        pq.write_table(
+            pa.Table.from_pylist(rows, schema), temporary_path, compression="zstd"
+        )
 
 
 @dataclass(frozen=True)
 class Results:
-    """Content of a campaign's table.
+    """Content of a campaign's results table.
 
     Attributes:
         name: Name of the campaign.
-        claim: What it shows.
-        rows: Rows of its runs, by column.
+        claim: Claim of the campaign, in a sentence.
+        rows: Rows of the runs, as dictionaries keyed by column.
     """
 
     name: str
@@ -89,36 +93,43 @@ class Results:
 
     @property
     def failures(self) -> list[dict[str, Any]]:
-        """Rows of the runs that failed."""
+        """Rows of the failed runs."""
         return [row for row in self.rows if row["status"] != "done"]
 
 
-def read_results(path: Path) -> Results:
-    """Read a table.
+def read_campaign_results(path: Path) -> Results:
+    """Read the results table of a campaign, and check its schema.
+
+    Columns other than `COLUMNS`, factors and metrics are ignored.
 
     Args:
         path: The file.
 
     Raises:
-        RecordingError: The file is no campaign's table, or damaged.
+        RecordingError: The file is not the table of a campaign, or is damaged.
     """
     try:
         table = pq.ParquetFile(path).read()
-        about = json.loads(table.schema.metadata[KEY])
-        if about["format"] != FORMAT:
+        description = json.loads(table.schema.metadata[METADATA_KEY])
+        if description["format"] != FORMAT:
             raise ValueError(f"it is not of the layout '{FORMAT}'")
         fields = [
-            pa.field(name, kind, name in NULLABLE) for name, kind in COLUMNS.items()
+            pa.field(name, kind, name in NULLABLE_COLUMNS)
+            for name, kind in COLUMNS.items()
         ]
         for field in table.schema:
             if field.name.startswith("factor/"):
                 fields.append(field)
             elif field.name.startswith("metric/"):
                 fields.append(pa.field(field.name, NUMBER))
-        named = table.select([field.name for field in fields]).cast(pa.schema(fields))
-        return Results(about["name"], about["claim"], named.to_pylist())
+        known_columns = table.select([field.name for field in fields]).cast(
+            pa.schema(fields)
+        )
+        return Results(
+            description["name"], description["claim"], known_columns.to_pylist()
+        )
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-        reason = printable(str(error), MAX_REASON)
+        reason = printable_line(str(error), MAX_REASON_LENGTH)
         raise RecordingError(
             f"{path}: not a readable table of a campaign: {reason}; put back a copy, or move the "
             "file away: the campaign's command then makes its runs again"

@@ -1,4 +1,4 @@
-"""Errors and coverage of a campaign, cell by cell."""
+"""Errors and coverage of a campaign, by cell and estimator."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ import numpy as np
 from scipy import stats
 
 from testbed.campaigns.campaign import Level
-from testbed.core.estimation.estimate import METHODS
+from testbed.core.parameters.rules import SIGNALS
 
-ESTIMATORS = (*METHODS, "consistent")
-"""Estimators that have a metric of their errors."""
+ESTIMATORS = (*SIGNALS, "consistent")
+"""Estimators with a metric of their errors."""
 
 Row = Mapping[str, Any]
-"""A row of a campaign's table."""
+"""Row of a campaign's results table."""
 
 
 @dataclass(frozen=True)
 class CellSummary:
-    """One estimator over the replicates of one cell.
+    """Errors and coverage of one estimator over the replicates of one cell.
 
     Attributes:
-        cell: Number of the cell.
-        levels: Levels of the factors, by name.
-        estimator: A method, or "consistent".
-        runs: Number of runs with this estimate.
-        error: Median of the rms relative errors.
-        coverage: Share of the intervals of 95 % that hold the truth; not a number without sigma.
-        bounds: Interval of 95 % of the coverage.
+        cell: Index of the cell.
+        levels: Levels of the cell, keyed by factor.
+        estimator: Name of a method, or "consistent".
+        runs: Number of runs with an estimate of this estimator.
+        error: Median over the runs of the rms relative error.
+        coverage: Fraction of the 95 % confidence intervals that contain the true value; NaN without
+            standard deviations.
+        bounds: 95 % confidence interval of the coverage.
     """
 
     cell: int
@@ -45,10 +46,13 @@ class CellSummary:
 
 
 def summarise(rows: Iterable[Row]) -> list[CellSummary]:
-    """Summarise the rows of a campaign's table, by cell and estimator.
+    """Errors and coverage computed from the rows of a campaign's table.
+
+    Summaries are in the order of cells, then of estimators. Failed runs are ignored; a cell without
+    successful runs has no summary.
 
     Args:
-        rows: Rows, as dictionaries.
+        rows: Rows of the table, as dictionaries.
     """
     done = sorted(
         (row for row in rows if row["status"] == "done"), key=itemgetter("cell")
@@ -56,11 +60,19 @@ def summarise(rows: Iterable[Row]) -> list[CellSummary]:
     return [
         summary
         for cell, replicates in groupby(done, key=itemgetter("cell"))
-        for summary in _of_cell(cell, list(replicates))
+        for summary in _cell_summaries(cell, list(replicates))
     ]
 
 
-def _of_cell(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
+def _cell_summaries(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
+    """Yield the summaries of a cell's estimators, in the order of `ESTIMATORS`.
+
+    An estimator is skipped if no run of the cell has its error metric.
+
+    Args:
+        cell: Number of the cell.
+        rows: Rows of the successful runs of the cell.
+    """
     levels = {
         name.removeprefix("factor/"): level
         for name, level in rows[0].items()
@@ -71,8 +83,8 @@ def _of_cell(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
         known = [error for error in errors if error is not None]
         if not known:
             continue
-        inside = [_inside(row, estimator) for row in rows]
-        coverage, low, high = coverage_of([each for each in inside if each])
+        inside = [_intervals_with_truth(row, estimator) for row in rows]
+        coverage, low, high = coverage_with_interval([each for each in inside if each])
         yield CellSummary(
             cell,
             levels,
@@ -84,8 +96,16 @@ def _of_cell(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
         )
 
 
-def _inside(row: Row, method: str) -> list[bool]:
-    """Whether the interval of 95 % of each parameter holds the truth."""
+def _intervals_with_truth(row: Row, method: str) -> list[bool]:
+    """Results of comparing each 95 % confidence interval of a run with the true value.
+
+    An element is True if the interval contains the true value. Parameters without a finite standard
+    deviation have no interval.
+
+    Args:
+        row: Row of the run.
+        method: Name of the estimator.
+    """
     return [
         abs(each["value"] - each["truth"]) <= stats.norm.ppf(0.975) * each["sigma"]
         for each in row["estimates"]
@@ -93,14 +113,21 @@ def _inside(row: Row, method: str) -> list[bool]:
     ]
 
 
-def coverage_of(runs: Sequence[Sequence[bool]]) -> tuple[float, float, float]:
-    """Coverage, and its interval of 95 % by E. L. Korn and B. I. Graubard.
+def coverage_with_interval(
+    runs: Sequence[Sequence[bool]],
+) -> tuple[float, float, float]:
+    """Coverage of confidence intervals, and its own 95 % confidence interval.
 
-    That is the interval of C. J. Clopper and E. S. Pearson for an effective number of independent
-    intervals: those of one run share its noise.
+    Coverage is the mean over runs of the fraction of intervals that contain the true value. Since
+    the intervals of one run share its noise, the effective number of independent intervals is
+    computed from the variance between runs (E. L. Korn and B. I. Graubard). The interval of the
+    coverage is that of C. J. Clopper and E. S. Pearson for this number.
 
     Args:
-        runs: Whether each interval of each run holds the truth.
+        runs: For each run, a list with True for each interval that contains the true value.
+
+    Returns:
+        Coverage, and lower and upper bound of its interval; NaN without runs.
     """
     if not runs:
         return np.nan, np.nan, np.nan

@@ -1,5 +1,5 @@
-"""The command line.
+"""Command line interface.
 
-In: arguments.
-Out: calls of the other rooms; exit code 2 with one line where input is wrong.
+In: command-line arguments.
+Out: calls of the other packages; exit code 2 with one line where input is wrong.
 """

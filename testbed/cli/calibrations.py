@@ -1,4 +1,4 @@
-"""Commands about plate, drives and payload themselves: calibrate, drives, payload."""
+"""Commands that identify plate, drives and payload: calibrate, drives, payload."""
 
 from __future__ import annotations
 
@@ -9,38 +9,44 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.identifications import Writing
-from testbed.cli.opening import opened
+from testbed.cli.identifications import BodyOptions
+from testbed.cli.opening import open_recording
 from testbed.cli.options import (
-    Fields,
     Force,
     Json,
+    OptionFields,
     RobotModel,
     check_outputs,
     command,
     ending,
 )
-from testbed.cli.reading import Reading
-from testbed.core.base.errors import SettingsError, UnknownName, printable
+from testbed.cli.reading import ReadingOptions
+from testbed.core.base.errors import SettingsError, UnknownName, printable_line
+from testbed.core.parameters.rules import Signal
 
 if TYPE_CHECKING:
     from testbed.applications.payload.payload import PayloadEstimate
     from testbed.core.base.diagnostics import Diagnostic
-    from testbed.core.estimation.estimate import Method
-    from testbed.core.robot.repair import FileLink
+    from testbed.core.robot.repair import ModelLink
     from testbed.core.robot.tree import Tree
 
 
 @dataclass(frozen=True)
-class PayloadOutput:
-    """Options of the form in which a payload is printed."""
+class PayloadOutputOptions:
+    """Options for the output format of a payload.
+
+    Attributes:
+        vendor: Robot controller whose format is printed; None for a table.
+        flange: Link whose frame is the flange frame.
+        as_json: True to print JSON.
+    """
 
     vendor: Annotated[
         str | None,
         typer.Option(
             "--as",
             metavar="VENDOR",
-            help="Print it for a controller: ur, franka or kuka.",
+            help="Print the payload for a controller: ur, franka or kuka.",
         ),
     ] = None
     flange: Annotated[
@@ -57,17 +63,28 @@ class PayloadOutput:
                 "--as and --json are two forms of one answer: give one of them"
             )
 
-    def link(self, reading: Reading, tree: Tree) -> FileLink | None:
-        """The flange in a tree's bodies; None for none.
+    def flange_link(self, reading: ReadingOptions, tree: Tree) -> ModelLink | None:
+        """Link selected by --flange.
+
+        Its `body` is the index in `tree` of the joint that moves it.
+
+        Args:
+            reading: Options of the model file.
+            tree: The robot, possibly with locked joints.
+
+        Returns:
+            The link, with `body` = -1 if the tree lacks the joint that moves it; None without
+            --flange.
 
         Raises:
-            SettingsError: A flange is named for no controller.
-            UnknownName: There is no such controller or link.
+            SettingsError: --flange is given without --as.
+            UnknownName: The controller is not in `VENDOR_WRITERS`, or the model file has no such
+                link.
         """
-        from testbed.applications.payload.vendors import VENDORS
+        from testbed.applications.payload.vendors import VENDOR_WRITERS
 
-        if self.vendor is not None and self.vendor not in VENDORS:
-            raise UnknownName("controller", self.vendor, list(VENDORS))
+        if self.vendor is not None and self.vendor not in VENDOR_WRITERS:
+            raise UnknownName("controller", self.vendor, list(VENDOR_WRITERS))
         if self.flange is None:
             return None
         if self.vendor is None:
@@ -81,36 +98,41 @@ class PayloadOutput:
 
     def print(
         self,
-        found: PayloadEstimate,
+        payload: PayloadEstimate,
         tree: Tree,
-        link: FileLink | None,
+        link: ModelLink | None,
         diagnostics: Iterable[Diagnostic],
         title: str = "",
     ) -> None:
-        """Print a payload as a table, as JSON, or as a controller takes it.
+        """Print a payload as a table, as JSON, or in a controller's format.
+
+        In a controller's format, diagnostics are printed on standard error. In JSON, only the
+        diagnostics of the estimate are printed.
 
         Args:
-            found: The payload.
+            payload: Estimate of the payload.
             tree: The robot.
-            link: The flange.
-            diagnostics: What to know of it.
-            title: Of the table; default which link carries the payload.
+            link: Link whose frame the controller's format uses; None for the frame of the estimate.
+            diagnostics: Diagnostics to print.
+            title: Title of the table; default the name of the carrying link.
         """
-        from testbed.applications.payload.vendors import VENDORS, at_flange
-        from testbed.core.base.codec import encode
-        from testbed.view import estimates as shown
+        from testbed.applications.payload.vendors import VENDOR_WRITERS, flange_payload
+        from testbed.core.base.codec import to_json_values
+        from testbed.view import estimates as estimate_view
         from testbed.view import output
 
         if self.as_json:
-            output.print_json(encode(found))
+            output.print_json(to_json_values(payload))
         elif self.vendor is None:
-            lines = shown.payload_lines(found)
-            output.print_result([shown.payload_table(found, title)], lines, diagnostics)
+            lines = estimate_view.payload_lines(payload)
+            output.print_result(
+                [estimate_view.payload_table(payload, title)], lines, diagnostics
+            )
         else:
-            typer.echo(VENDORS[self.vendor](at_flange(found, tree, link)))
+            typer.echo(VENDOR_WRITERS[self.vendor](flange_payload(payload, tree, link)))
             for each in diagnostics:
                 kind = "note" if each.level == "info" else "warning"
-                typer.echo(printable(f"{kind}: {each}"), err=True)
+                typer.echo(printable_line(f"{kind}: {each}"), err=True)
 
 
 @command()
@@ -119,8 +141,8 @@ def calibrate(
         Path, typer.Argument(metavar="RECORDING", help="Parquet file.")
     ],
     reading: Annotated[
-        Reading,
-        Fields(
+        ReadingOptions,
+        OptionFields(
             "settings",
             "zeros",
             "gravity",
@@ -144,7 +166,7 @@ def calibrate(
     loaded: Annotated[
         Path | None,
         typer.Option(
-            help="Of joint torques, with a payload: --known payload/mass=1.5."
+            help="Recording with a known payload, for joint torques: --known payload/mass=1.5."
         ),
     ] = None,
     joint: Annotated[
@@ -156,59 +178,63 @@ def calibrate(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Calibrate the plate by the robot's own motion: sensitivities, zero, delay.
+    """Calibrate the force plate from a motion of the robot: sensitivities, zero, delay.
 
-    Other numbers: --set 'identification.nuisances=["pose","skew"]'. Whether what is known
-    suffices is found out before any data are read.
+    Other coefficients: --set 'identification.nuisances=["pose","skew"]'. Known values that do not
+    suffice are an error before any data are read.
 
-    With --loaded, the joint torques instead: RECORDING is without a known payload, the other one
-    with it, and the two give the scale of every joint's torque.
+    With --loaded, calibrate joint torques: RECORDING is without, --loaded with a known payload;
+    the difference gives the scale of every joint's torque.
 
     Example: testbed calibrate run.parquet --model robot.urdf --known mass=20 --known gain/Mx=1
     """
-    from testbed.applications.calibration import calibrate as calibrated
+    from testbed.applications.calibration import calibrate as calibrate_plate
     from testbed.applications.payload.torque_scales import torque_scales
-    from testbed.core.base.codec import encode
+    from testbed.core.base.codec import to_json_values
     from testbed.core.estimation.known import parse_known
-    from testbed.lab.experiment.plate_file import write_plate
-    from testbed.view import estimates as shown
+    from testbed.lab.experiment.plate_file import write_calibration
+    from testbed.view import estimates as estimate_view
     from testbed.view import output, terminal
 
-    if loaded is None:  # else scales are printed, and nothing is written
+    if loaded is None:  # with --loaded scales are printed and no file is written
         check_outputs(out, force=force, read=(recording, reading.model))
     if joint is not None and loaded is None:
         raise SettingsError("--joint names the link of --loaded: both are needed")
-    facts, source = parse_known(known), opened(recording)
+    known_values, source = parse_known(known), open_recording(recording)
     if loaded is not None:
         with output.Progress("calibrating torques") as progress:
             scales = torque_scales(
                 reading.tree,
                 source,
                 loaded,
-                facts,
+                known_values,
                 joint,
                 progress=progress,
-                **reading.arguments,
+                **reading.estimator_arguments,
             )
         if as_json:
-            output.print_json(encode(scales))
+            output.print_json(to_json_values(scales))
         else:
-            output.print_result([shown.scales_table(scales)])
+            output.print_result([estimate_view.torque_scales_table(scales)])
         return
-    reading, source, held = reading.holding(source)
+    reading, source, lock_diagnostics = reading.with_resting_joints_locked(source)
     with output.Progress("calibrating") as progress:
-        plate = calibrated(
-            reading.tree, source, facts, progress=progress, **reading.arguments
+        plate = calibrate_plate(
+            reading.tree,
+            source,
+            known_values,
+            progress=progress,
+            **reading.estimator_arguments,
         )
-    write_plate(plate, out)
+    write_calibration(plate, out)
     if as_json:
         output.print_json(
-            encode(
+            to_json_values(
                 plate, exclude={"estimate": {"normal_equations", "measured_equations"}}
             )
         )
     else:
-        terminal.print_plate(plate, [*reading.tree.diagnostics, *held], out)
+        terminal.print_plate(plate, [*reading.tree.diagnostics, *lock_diagnostics], out)
 
 
 @command()
@@ -218,8 +244,8 @@ def drives(
     ],
     *,
     reading: Annotated[
-        Reading,
-        Fields(
+        ReadingOptions,
+        OptionFields(
             "settings",
             "zeros",
             "gravity",
@@ -238,18 +264,18 @@ def drives(
             "--choose-terms", help="Choose the terms of each joint by cross-validation."
         ),
     ] = False,
-    writing: Annotated[Writing, Fields("write", "force")],
+    writing: Annotated[BodyOptions, OptionFields("write", "force")],
     unseen: Annotated[
         Path | None,
         typer.Option(
-            help="With --write: another motion, whose torques drive the file in MuJoCo."
+            help="With --write: recording whose torques drive the written file in MuJoCo."
         ),
     ] = None,
     commands: Annotated[
         bool,
         typer.Option(
             "--commands",
-            help="Torques are commands: find the delay of the drives, too.",
+            help="Torques are commands: estimate the delay of the drives as well.",
         ),
     ] = False,
     friction: Annotated[
@@ -261,16 +287,16 @@ def drives(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Hold joint torques against the plate: torque constants, friction, rotors, joint by joint.
+    """Identify each joint's torque constant, friction and rotor, with bodies from the plate.
 
-    The bodies are known from the plate; what a drive reports is a constant times the torque that
-    they need and its own terms: --set 'identification.terms=["coulomb","viscous","rotor"]'.
+    The reported torque of a joint is its constant times the sum of the torque of the bodies and
+    the joint's terms: --set 'identification.terms=["coulomb","viscous","rotor"]'.
     Friction over velocity is in the JSON, and drawn by report --set identification.drives=given.
-    Laws of the load are load, viscous_load and others.
+    Load-dependent friction terms are load, viscous_load and others.
 
     --write copies the model file with consistent bodies by the plate, friction, rotors, and (MJCF)
-    motors whose gear makes true torque of what the drive reports, with the delay of --commands.
-    --unseen drives it open-loop by the torques of another motion, and the model file, too.
+    motors whose gear converts reported to true torque, with the delay of --commands.
+    --unseen simulates it, and the model file, open-loop with the torques of another motion.
 
     Example: testbed drives run.parquet --model robot.urdf --choose-terms
 
@@ -279,69 +305,100 @@ def drives(
     from testbed.applications.drives.friction_files import write_friction
     from testbed.applications.drives.identify_drives import identify_drives
     from testbed.bodies.consistency.consistent import consistent
-    from testbed.core.base.codec import encode
-    from testbed.core.base.files import together
-    from testbed.core.recordings.source import Stretch, longest_segment
-    from testbed.core.recordings.views import with_gear
-    from testbed.importing.check.time_offset import delivered
+    from testbed.core.base.codec import to_json_values
+    from testbed.core.base.files import replace_together
+    from testbed.core.recordings.source import SourceRange, longest_segment
+    from testbed.core.recordings.views import with_gear_shafts
+    from testbed.importing.check.time_offset import with_drive_delay
     from testbed.view import output
-    from testbed.view.drives import delay_line, drive_lines, drive_table
+    from testbed.view.drives import drive_delay_line, drive_lines, drive_table
 
     check_outputs(friction, force=writing.force, read=(recording, reading.model))
     writing.check(reading, [recording])
     if unseen is not None and writing.write is None:
         raise SettingsError("--unseen drives the file that --write writes")
-    reading, source, held = reading.holding(opened(recording))
-    sensed = reading.with_sensors(source, alone=True)
-    if sensed.tree.sensor is not None and (writing.write is not None or commands):
+    reading, source, lock_diagnostics = reading.with_resting_joints_locked(
+        open_recording(recording)
+    )
+    sensor_reading = reading.with_sensors(source, alone=True)
+    if sensor_reading.tree.sensor is not None and (
+        writing.write is not None or commands
+    ):
         raise SettingsError(
             "--write and --commands need bodies by the plate, not by a sensor"
         )
-    reading = replace(sensed, sensor=None)
-    tree, source = reading.tree, reading.source(source)
-    bodies = sensed.identify(source, "identifying by the wrench")
+    reading = replace(sensor_reading, sensor=None)
+    tree, source = reading.tree, reading.prepare_source(source)
+    bodies = sensor_reading.identify(source, "identifying by the wrench")
     offset = None
     if commands:
-        source, offset = delivered(
-            tree, Stretch(source, *longest_segment(source)), bodies
+        source, offset = with_drive_delay(
+            tree, SourceRange(source, *longest_segment(source)), bodies
         )
     delay, lines = (
-        (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
+        (0.0, []) if offset is None else (-offset.delay, [drive_delay_line(offset)])
     )
     choose = choose_terms or reading.tables.identification.drives == "chosen"
     with output.Progress("regressing torques") as progress:
-        found = identify_drives(
-            tree, source, bodies, choose=choose, progress=progress, **reading.arguments
+        findings = identify_drives(
+            tree,
+            source,
+            bodies,
+            choose=choose,
+            progress=progress,
+            **reading.estimator_arguments,
         )
-    said = [*tree.diagnostics, *held, *bodies.diagnostics, *found.diagnostics]
-    with together():
+    diagnostics = [
+        *tree.diagnostics,
+        *lock_diagnostics,
+        *bodies.diagnostics,
+        *findings.diagnostics,
+    ]
+    with replace_together():
         if friction is not None:
-            write_friction(found, friction)
+            write_friction(findings, friction)
         if writing.write is not None:
             links = consistent(
-                with_gear(tree, source), [bodies], *reading.bodies(source)
+                with_gear_shafts(tree, source),
+                [bodies],
+                *reading.prior_and_options(source),
             )
-            said += writing.written(links, reading, [recording], found, delay)
+            diagnostics += writing.write_bodies(
+                links, reading, [recording], findings, delay
+            )
             lines.append(f"model file: {writing.write}")
     if writing.write is not None and unseen is not None:
-        lines += _replayed(reading, unseen, writing.write)
+        lines += _replay_lines(reading, unseen, writing.write)
     if as_json:
-        output.print_json({**encode(found), "delay": delay})
+        output.print_json({**to_json_values(findings), "delay": delay})
     else:
-        output.print_result([drive_table(found.estimates)], drive_lines(found), said)
+        output.print_result(
+            [drive_table(findings.estimates)], drive_lines(findings), diagnostics
+        )
         output.print_result(lines=lines)
 
 
-def _replayed(reading: Reading, unseen: Path, written: Path) -> list[str]:
-    """How far a model file, and what was written, are from an unseen motion by its torques."""
+def _replay_lines(reading: ReadingOptions, unseen: Path, written: Path) -> list[str]:
+    """Lines that compare the original and the written model with recorded positions.
+
+    Each model is simulated open-loop under the recorded torques.
+
+    Args:
+        reading: Options of the original model file.
+        unseen: Recording (Parquet) with torques, along a motion that was not used for the estimate.
+        written: Written model file, which is read with the same options.
+
+    Returns:
+        Lines with the rms errors of both models' positions relative to the recorded positions.
+    """
     from testbed.core.recordings.recording import Recording
-    from testbed.lab.simulation.replay import replay
-    from testbed.view.drives import replay_lines
+    from testbed.lab.simulation.replay import replay_errors
+    from testbed.view.drives import replay_error_lines
 
     motion = Recording.load(unseen)
     files = reading.file, replace(reading.file, path=written)
-    ends = [replay(each, motion) for each in files]
-    return replay_lines(reading.tree.names, *ends)
+    position_errors = [replay_errors(file, motion) for file in files]
+    return replay_error_lines(reading.tree.names, *position_errors)
 
 
 @command()
@@ -353,8 +410,8 @@ def payload(
         Path, typer.Argument(metavar="WITH", help="Recording with the payload.")
     ],
     reading: Annotated[
-        Reading,
-        Fields(
+        ReadingOptions,
+        OptionFields(
             "settings",
             "gravity",
             "weld_root",
@@ -372,12 +429,14 @@ def payload(
             help="Joint that moves the link with the payload; default the last."
         ),
     ] = None,
-    printed: Annotated[PayloadOutput, Fields("vendor", "flange", "as_json")],
+    payload_output: Annotated[
+        PayloadOutputOptions, OptionFields("vendor", "flange", "as_json")
+    ],
 ) -> None:
-    """Find a payload's mass, centre and inertia by two recordings, without it and with it.
+    """Identify a payload's mass, centre and inertia from recordings without it and with it.
 
-    Its parameters, as far as the plate identifies them, or the joint torques of recordings without
-    a plate.
+    The plate's wrench is used, or the joint torques where the plate was not recorded; parameters
+    that the signal does not identify are left out.
 
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
 
@@ -385,16 +444,22 @@ def payload(
     """
     from testbed.applications.payload.payload import payload as payload_of
 
-    tree, link = reading.tree, printed.link(reading, reading.tree)
-    sources = [reading.source(opened(path)) for path in (without, loaded)]
+    tree, link = reading.tree, payload_output.flange_link(reading, reading.tree)
+    sources = [
+        reading.prepare_source(open_recording(path)) for path in (without, loaded)
+    ]
     plates = all("wrench" in source.signals for source in sources)
-    method: Method = "external" if plates else "internal"
+    method: Signal = "wrench" if plates else "torque"
     estimates = [
         reading.identify(source, f"identifying, {name}", method)
         for source, name in zip(sources, ("without", "with"), strict=True)
     ]
-    found = payload_of(tree, estimates[0], estimates[1], joint)
-    known = [each for estimate in estimates for each in estimate.diagnostics]
-    # the difference has none
-    known = [each for each in known if each.code != "plate.no-tare"]
-    printed.print(found, tree, link, [*tree.diagnostics, *known, *found.diagnostics])
+    estimate = payload_of(tree, estimates[0], estimates[1], joint)
+    diagnostics = [
+        each for each_estimate in estimates for each in each_estimate.diagnostics
+    ]
+    # a missing tare cancels in the difference
+    diagnostics = [each for each in diagnostics if each.code != "plate.no-tare"]
+    payload_output.print(
+        estimate, tree, link, [*tree.diagnostics, *diagnostics, *estimate.diagnostics]
+    )

@@ -1,4 +1,4 @@
-"""Every command, and the application that knows them."""
+"""Modules of all commands, and the application with the registered commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands run, simulate, warmup and campaign."""
+"""Commands for simulated experiments: run, simulate, campaign."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from testbed.cli.options import (
     check_outputs,
     command,
     ending,
-    note,
-    with_gravity,
+    print_notes,
+    settings_with_gravity,
 )
 from testbed.core.base.diagnostics import sentences
-from testbed.core.base.errors import plural
-from testbed.core.base.installation import own_or_shipped
+from testbed.core.base.errors import count_with_noun
+from testbed.core.base.installation import user_or_shipped_file
 
 if TYPE_CHECKING:
     from testbed.core.base.arrays import Array
     from testbed.core.recordings.recording import Truth
     from testbed.lab.experiment.experiment import Experiment
-    from testbed.lab.simulation.rollout import Watch
+    from testbed.lab.simulation.rollout import BlockCallback
 
 
 @command()
@@ -46,7 +46,8 @@ def run(
     live: Annotated[
         bool,
         typer.Option(
-            "--live", help="Show it in an open viewer: rerun --bind 127.0.0.1"
+            "--live",
+            help="Show the recording in an open viewer: rerun --bind 127.0.0.1",
         ),
     ] = False,
     everything: Everything = False,
@@ -54,37 +55,41 @@ def run(
 ) -> None:
     """Carry out an experiment: simulate, identify, compare with the model file.
 
-    What may be wrong with the instruments is added by
+    Sensor errors are added by
     --set 'measurement.fault=[{kind="plate_bias"}, {kind="encoder_zero_error"}]'. `testbed list`
-    has the kinds.
+    prints the kinds.
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
     from testbed.core.base.errors import RecordingError
     from testbed.lab.experiment.carry_out import carry_out
     from testbed.lab.experiment.experiment import Experiment
-    from testbed.lab.experiment.results import check_folder, default_folder, result_of
+    from testbed.lab.experiment.results import check_folder, default_folder, run_result
     from testbed.view import output, terminal
 
-    experiment = Experiment.from_toml(file, with_gravity(settings, gravity))
+    experiment = Experiment.from_toml(file, settings_with_gravity(settings, gravity))
     folder = out or default_folder(experiment)
-    # the same run again needs no --force
+    # repeating the same run needs no --force
     check_outputs(folder, force=True, folder=True)
     check_folder(folder, experiment, force=force)
-    watch = _watcher(experiment) if live else _unwatched
-    done = carry_out(experiment, watch=watch, folder=folder, stage=output.Progress)
+    watch = _live_view(experiment) if live else _ignore_sample
+    completed_run = carry_out(
+        experiment, watch=watch, folder=folder, stage=output.Progress
+    )
     if as_json:
-        output.print_json(result_of(done).document() | {"folder": str(folder)})
-    elif done.estimates:
-        terminal.print_run(done, folder, everything=everything)
-    if not done.estimates:
+        output.print_json(
+            run_result(completed_run).document() | {"folder": str(folder)}
+        )
+    elif completed_run.estimates:
+        terminal.print_run(completed_run, folder, everything=everything)
+    if not completed_run.estimates:
         reasons = "; ".join(
-            f"{method}: {said}" for method, said in done.failures.items()
+            f"{method}: {error}" for method, error in completed_run.failures.items()
         )
         raise RecordingError(
             f"the recording is kept in '{folder}', but no estimate: {reasons}"
         )
-    raise typer.Exit(0 if done.as_expected else 1)
+    raise typer.Exit(0 if completed_run.as_expected else 1)
 
 
 @command()
@@ -107,28 +112,31 @@ def simulate(
     from testbed.view import output
 
     check_outputs(out, force=force, read=(file,))
-    experiment = Experiment.from_toml(file, with_gravity(settings, gravity))
+    experiment = Experiment.from_toml(file, settings_with_gravity(settings, gravity))
     with output.Progress("simulating") as progress:
         recording = record(experiment, progress)
     recording.save(out)
     output.console().print(
-        f"{plural(recording.samples, 'sample')} at {recording.rate:g} Hz in {out}"
+        f"{count_with_noun(recording.samples, 'sample')} at {recording.rate:g} Hz in {out}"
     )
 
 
-def _unwatched(time: Array, truth: Truth) -> None:
-    """Nobody looks."""
+def _ignore_sample(time: Array, truth: Truth) -> None:
+    """Ignore simulated samples; the callback used without --live."""
 
 
-def _watcher(experiment: Experiment) -> Watch:
-    """A view of the run in an open viewer."""
+def _live_view(experiment: Experiment) -> BlockCallback:
+    """Callback that sends simulated samples to an open Rerun viewer.
+
+    Diagnostics of the meshes in the robot's model are printed as notes.
+    """
     from testbed.bodies.shapes.appearance import load_appearance
     from testbed.lab.experiment.rig import robot_of
-    from testbed.view.viewer.live import Live
+    from testbed.view.viewer.live import LiveViewer
 
-    look = load_appearance(robot_of(experiment), experiment.file)
-    note(sentences(look.diagnostics))
-    return Live(experiment.name, look)
+    appearance = load_appearance(robot_of(experiment), experiment.file)
+    print_notes(sentences(appearance.diagnostics))
+    return LiveViewer(experiment.name, appearance)
 
 
 @command()
@@ -137,7 +145,7 @@ def campaign(
         Path,
         typer.Argument(
             metavar="FILE.toml",
-            parser=own_or_shipped,
+            parser=user_or_shipped_file,
             help="Campaign file; with --summary its folder.",
         ),
     ],
@@ -149,7 +157,7 @@ def campaign(
         bool, typer.Option("--dry-run", help="List cells, count runs.")
     ] = False,
     limit: Annotated[
-        int | None, typer.Option(min=1, help="At most so many runs.")
+        int | None, typer.Option(min=1, help="Largest number of runs.")
     ] = None,
     summary: Annotated[
         bool, typer.Option("--summary", help="Only summarise a campaign folder.")
@@ -157,14 +165,15 @@ def campaign(
     workers: Annotated[
         int | None,
         typer.Option(
-            min=0, help="Processes; default one per processor, 0: only this one."
+            min=0,
+            help="Number of processes; default one per processor; 0: none but this one.",
         ),
     ] = None,
 ) -> None:
     """Carry out many runs of an experiment: factors, replicates, one table.
 
-    The same command again does what is missing, and what failed. A run that fails is a row of the
-    table, with what makes it again; exit code 1 if there is one.
+    Repeating the command carries out missing and failed runs. A failed run is a row of the table
+    with the command that repeats it; exit code 1 if there is one.
 
     Example: testbed campaign experiments/campaigns/coverage.toml --limit 20
 
@@ -177,23 +186,23 @@ def campaign(
         write_campaign_page,
     )
     from testbed.campaigns.conduct import conduct
-    from testbed.campaigns.results import RESULTS, read_results
+    from testbed.campaigns.results import RESULTS_FILE, read_campaign_results
     from testbed.view import output
 
     if summary:
-        path = file if file.is_file() else file / RESULTS
+        path = file if file.is_file() else file / RESULTS_FILE
     else:
-        asked = Campaign.load(file, settings or ())
-        folder = out or Path("runs") / f"{asked.tables.name}-campaign"
+        plan = Campaign.load(file, settings or ())
+        folder = out or Path("runs") / f"{plan.tables.name}-campaign"
         if dry_run:
-            print_plan(output.console(), asked)
+            print_plan(output.console(), plan)
             return
-        path = folder / RESULTS
-        check_outputs(path, force=True, read=(file, asked.base))
+        path = folder / RESULTS_FILE
+        check_outputs(path, force=True, read=(file, plan.experiment_file))
         count = len(os.sched_getaffinity(0)) if workers is None else workers
         with output.Progress("runs") as progress:
-            conduct(asked, folder, count, limit, progress)
-    results = read_results(path)
+            conduct(plan, folder, count, limit, progress)
+    results = read_campaign_results(path)
     print_campaign(output.console(), results)
     write_campaign_page(path.with_name("summary.html"), results)
     raise typer.Exit(1 if results.failures else 0)

@@ -1,4 +1,4 @@
-"""Commands about recordings: identify, validate, and consistent bodies written to files."""
+"""Commands that estimate parameters from recordings: identify, validate, sample."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from testbed.cli.opening import corrected_source, opened
+from testbed.cli.opening import corrected_source, open_recording
 from testbed.cli.options import (
     Everything,
-    Fields,
     Force,
     Json,
+    OptionFields,
     RobotModel,
     Timings,
     check_outputs,
     command,
 )
-from testbed.cli.reading import Reading
-from testbed.core.base.diagnostics import diagnose
+from testbed.cli.reading import ReadingOptions
+from testbed.core.base.diagnostics import make_diagnostic
+from testbed.core.parameters.rules import SIGNALS, Signal
 
 if TYPE_CHECKING:
-    from testbed.applications.drives.identify_drives import DriveFindings
+    from testbed.applications.drives.identify_drives import DriveIdentification
     from testbed.bodies.consistency.consistent import Consistent
     from testbed.core.base.diagnostics import Diagnostic
-    from testbed.core.estimation.estimate import Method
 
 
 ConsistentBodies = Annotated[
@@ -46,8 +46,17 @@ FixedLinks = Annotated[
 
 
 @dataclass(frozen=True)
-class Writing:
-    """Options of consistent bodies and of the model file that holds them."""
+class BodyOptions:
+    """Options for consistent bodies, and for a model file with these bodies.
+
+    Attributes:
+        consistent: True to compute physically consistent bodies.
+        write: Model file to write; None for no file.
+        fixed: Treatment of links that are fixed to each other in the written file: "lump" assigns
+            their mass to one link, "share" distributes it among them.
+        in_place: True if `write` may be the model file itself.
+        force: True if an existing file may be replaced.
+    """
 
     consistent: ConsistentBodies = False
     write: Annotated[
@@ -66,72 +75,79 @@ class Writing:
     force: Force = False
 
     @property
-    def wanted(self) -> bool:
-        """Whether consistent bodies are to be made."""
+    def computes_bodies(self) -> bool:
+        """True if consistent bodies are to be computed."""
         return self.consistent or self.write is not None
 
-    def check(self, reading: Reading, recordings: Sequence[Path]) -> None:
-        """Check, before the work, that the file may be written and conditions are of use.
+    def check(self, reading: ReadingOptions, recordings: Sequence[Path]) -> None:
+        """Check the options for bodies and the output of --write before the estimation.
 
         Args:
-            reading: What is wished.
-            recordings: What is identified, which is not replaced.
+            reading: Options of model file and recordings.
+            recordings: Recordings, which must not be overwritten.
 
         Raises:
-            ModelError: The file may not be written.
-            SettingsError: Something is wished of bodies that nobody asked for.
+            ModelError: The file has the wrong extension, or is the model file without --in-place.
+            BadParameter: The file exists and --force is not given.
+            SettingsError: A setting of [consistent] other than prior_error is given without
+                --consistent or --write, or --in-place without --write.
         """
         from testbed.bodies.consistency.options import ConsistencyOptions
-        from testbed.bodies.write_model import check_place
+        from testbed.bodies.write_model import check_copy_path
         from testbed.core.base.errors import SettingsError
 
         default = ConsistencyOptions()
-        asked = replace(reading.tables.consistent, prior_error=default.prior_error)
-        if not self.wanted and asked != default:
+        options = replace(reading.tables.consistent, prior_error=default.prior_error)
+        if not self.computes_bodies and options != default:
             raise SettingsError("--set consistent... needs --consistent")
         if self.in_place and self.write is None:
             raise SettingsError("--in-place needs --write FILE")
         if self.write is not None:
             model = reading.file.path
-            check_place(model, self.write, over_source=self.in_place)
-            own = self.in_place and self.write.resolve() == model.resolve()
+            check_copy_path(model, self.write, over_source=self.in_place)
+            replaces_model = self.in_place and self.write.resolve() == model.resolve()
             read = *recordings, reading.plate
-            check_outputs(self.write, force=self.force or own, read=read)
+            check_outputs(self.write, force=self.force or replaces_model, read=read)
 
-    def written(
+    def write_bodies(
         self,
-        found: Consistent,
-        reading: Reading,
+        bodies: Consistent,
+        reading: ReadingOptions,
         recordings: Sequence[Path],
-        drives: DriveFindings | None = None,
+        drives: DriveIdentification | None = None,
         delay: float = 0.0,
     ) -> tuple[Diagnostic, ...]:
-        """Write the file that was asked for; diagnostics of bodies and file.
+        """Write a copy of the model file with consistent bodies to the path of --write.
+
+        Nothing is written without --write. A comment in the copy lists recordings and methods.
 
         Args:
-            found: Consistent bodies.
-            reading: How the model file is read.
-            recordings: What it was identified from.
-            drives: Their friction, rotors and torque constants are written, too.
-            delay: Of their commands [s].
+            bodies: Consistent bodies.
+            reading: Options of the model file.
+            recordings: Recordings used for the estimate, for the comment.
+            drives: Drives whose friction, rotors and torque constants are also written.
+            delay: Delay of the drives behind their commands [s], for the motors of an MJCF file.
+
+        Returns:
+            Diagnostics of the bodies, followed by those of the written file.
 
         Raises:
             ModelError: The file cannot be written.
         """
-        from testbed.applications.drives.identify_drives import with_drives
+        from testbed.applications.drives.identify_drives import with_identified_drives
         from testbed.bodies.consistency.consistent import robot_of
         from testbed.bodies.write_model import write_model
-        from testbed.lab.experiment.results import provenance
+        from testbed.lab.experiment.results import provenance_lines
 
         if self.write is None:
-            return found.diagnostics
-        robot = robot_of(found, reading.file.tree())
-        return found.diagnostics + write_model(
+            return bodies.diagnostics
+        robot = robot_of(bodies, reading.file.tree())
+        return bodies.diagnostics + write_model(
             reading.file,
-            robot if drives is None else with_drives(robot, drives),
+            robot if drives is None else with_identified_drives(robot, drives),
             self.write,
             fixed=self.fixed,
-            note=provenance(found, reading.file, recordings),
+            note=provenance_lines(bodies, reading.file, recordings),
             over_source=self.in_place,
             gears=None if drives is None else drives.gears,
             delay=delay,
@@ -148,8 +164,8 @@ def identify(
         ),
     ],
     reading: Annotated[
-        Reading,
-        Fields(
+        ReadingOptions,
+        OptionFields(
             "settings",
             "zeros",
             "gravity",
@@ -166,17 +182,17 @@ def identify(
         ),
     ],
     writing: Annotated[
-        Writing, Fields("consistent", "write", "fixed", "in_place", "force")
+        BodyOptions, OptionFields("consistent", "write", "fixed", "in_place", "force")
     ],
     method: Annotated[
-        Literal["external", "internal", "both"],
-        typer.Option(help="external: force plate, internal: joint torques."),
+        Literal["wrench", "torque", "both"],
+        typer.Option(help="wrench: force plate, torque: joint torques."),
     ] = "both",
     plain: Annotated[
         bool,
         typer.Option(
             "--plain",
-            help="Of an imported recording: least squares, without the model file as prior.",
+            help="Least squares for an imported recording, without the model file as prior.",
         ),
     ] = False,
     timings: Timings = False,
@@ -187,8 +203,8 @@ def identify(
 
     Several recordings are combined into one estimate; they may be larger than memory. A method
     whose signal was not recorded is left out. Imported recordings are first checked against the
-    model: signs, units, order, encoder zeros, clocks. Of parameters that they do not determine the
-    model file's bodies are the prior, and what the data add is said.
+    model: signs, units, order, encoder zeros, clocks. For parameters that they do not determine the
+    model file's bodies are the prior, and the share of the data is printed.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
 
@@ -196,81 +212,94 @@ def identify(
     """
     from testbed.applications.analysis import analyse
     from testbed.core.base.errors import SettingsError
-    from testbed.core.estimation.estimate import METHODS, NAMES, SIGNAL_OF
+    from testbed.core.estimation.estimate import METHOD_LABELS
     from testbed.core.recordings.views import is_imported
-    from testbed.core.robot.placeholders import placeholders
+    from testbed.core.robot.placeholders import find_placeholders
     from testbed.view import output, terminal
 
     writing.check(reading, recordings)
-    reading, source, said = reading.joined(recordings)
+    reading, source, diagnostics = reading.open_joined(recordings)
     tree = reading.tree
-    if reading.prior_error and not (writing.wanted or is_imported(source)):
+    if reading.prior_error and not (writing.computes_bodies or is_imported(source)):
         raise SettingsError(
             "--set consistent... needs --consistent, or an imported recording"
         )
-    wanted = METHODS if method == "both" else (method,)
-    there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
-    doubts = placeholders(tree).diagnostics if is_imported(source) else ()
-    said = [*tree.diagnostics, *said, *doubts]
+    methods = SIGNALS if method == "both" else (method,)
+    recorded = [name for name in methods if name in source.signals]
+    doubts = find_placeholders(tree).diagnostics if is_imported(source) else ()
+    diagnostics = [*tree.diagnostics, *diagnostics, *doubts]
     if (
         everything or as_json
-    ) and not tree.is_part:  # no fault: few recordings have both
-        said += _unrecorded(name for name in wanted if name not in there)
+    ) and not tree.is_part:  # info only: few recordings have both signals
+        diagnostics += _missing_signals(
+            name for name in methods if name not in recorded
+        )
     with output.Progress("identifying") as progress:
-        found = analyse(
+        analysis = analyse(
             tree,
             source,
-            methods=there or wanted,  # the first says what lacks
+            methods=recorded
+            or methods,  # without a signal the first method raises the error
             doubt=reading.doubt,
             prior_error=reading.prior_error,
-            bodies=reading.bodies(source) if writing.wanted else None,
+            bodies=reading.prior_and_options(source)
+            if writing.computes_bodies
+            else None,
             progress=progress,
-            **reading.arguments,
+            **reading.estimator_arguments,
         )
-    for name, error in found.failures.items():
-        if plain or name not in found.posterior:
+    for name, error in analysis.failures.items():
+        if plain or name not in analysis.posterior:
             raise error
-        said.append(diagnose("estimate.missing", name, reason=error, name=NAMES[name]))
-    if found.bodies_failure is not None:
-        raise found.bodies_failure
-    if found.bodies is not None:
-        said += writing.written(found.bodies, reading, recordings)
+        diagnostics.append(
+            make_diagnostic(
+                "estimate.missing", name, reason=error, name=METHOD_LABELS[name]
+            )
+        )
+    if analysis.bodies_failure is not None:
+        raise analysis.bodies_failure
+    if analysis.bodies is not None:
+        diagnostics += writing.write_bodies(analysis.bodies, reading, recordings)
     estimates, posteriors = (
-        list(found.estimates.values()),
-        list(found.posterior.values()),
+        list(analysis.estimates.values()),
+        list(analysis.posterior.values()),
     )
     if as_json:
-        from testbed.lab.experiment.results import identified
+        from testbed.lab.experiment.results import identification_result
 
-        result = identified(
+        result = identification_result(
             estimates,
             reading.file,
             reading.tables,
-            said,
-            found.bodies,
-            found.posterior,
+            diagnostics,
+            analysis.bodies,
+            analysis.posterior,
             plain=plain,
         )
         output.print_json(result.document())
         return
     terminal.print_estimates(
         estimates,
-        said,
-        found.bodies,
+        diagnostics,
+        analysis.bodies,
         posteriors=posteriors,
-        plain=plain,
+        least_squares=plain,
         everything=everything,
     )
     if writing.write is not None:
         output.print_result(lines=[f"model file: {writing.write}"])
 
 
-def _unrecorded(methods: Iterable[Method]) -> list[Diagnostic]:
-    """Methods whose signal the recording lacks."""
-    from testbed.core.estimation.estimate import NAMES, SIGNAL_OF
+def _missing_signals(methods: Iterable[Signal]) -> list[Diagnostic]:
+    """Diagnostics "estimate.no-signal", one per method.
+
+    Args:
+        methods: Methods ("wrench", "torque") whose signal the recording lacks.
+    """
+    from testbed.core.estimation.estimate import METHOD_LABELS
 
     return [
-        diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
+        make_diagnostic("estimate.no-signal", m, signal=m, name=METHOD_LABELS[m])
         for m in methods
     ]
 
@@ -290,55 +319,67 @@ def validate(
         ),
     ],
     reading: Annotated[
-        Reading, Fields("model", "gravity", "settings", "plate", "threads")
+        ReadingOptions, OptionFields("model", "gravity", "settings", "plate", "threads")
     ],
     as_json: Json = False,
 ) -> None:
-    """Hold estimates against a recording of a motion that they have not seen.
+    """Validate estimates by the residuals of a recording that was not used for the fit.
 
-    Residuals stand beside the noise that the estimate found in its own recording and what the
-    parameters' sigma adds; above twice what both make together there is a warning.
+    Residuals are compared with their expected size: the root of the sum of squares of the noise
+    in the estimate's own recording and of the prediction's sigma. Residuals above twice the
+    expected size cause a warning.
 
     Example: testbed validate other.parquet runs/table6-286a25ef
     """
-    from testbed.applications.validate import validate as validated
-    from testbed.core.base.codec import encode
+    from testbed.applications.validate import validate as validate_estimate
+    from testbed.core.base.codec import to_json_values
     from testbed.core.base.errors import RecordingError
-    from testbed.core.estimation.estimate import SIGNAL_OF
     from testbed.lab.experiment.read_result import read_result
     from testbed.view import output
     from testbed.view.posterior import validation_table
 
-    kept = read_result(result, reading.model, reading.settings or ())
+    stored = read_result(result, reading.model, reading.settings or ())
     source = corrected_source(
-        kept.without_held(opened(recording)), kept.tree, reading.plate
+        stored.without_locked_joints(open_recording(recording)),
+        stored.tree,
+        reading.plate,
     )
-    there = [a for a in kept.answers if SIGNAL_OF[a.estimate.method] in source.signals]
-    said = _unrecorded(a.estimate.method for a in kept.answers if a not in there)
-    if not there:
-        raise RecordingError("; ".join(map(str, said)))
-    found = {}
-    for answer in there:
-        method = answer.estimate.method
+    estimates = [
+        a for a in stored.reported_estimates if a.estimate.method in source.signals
+    ]
+    diagnostics = _missing_signals(
+        a.estimate.method for a in stored.reported_estimates if a not in estimates
+    )
+    if not estimates:
+        raise RecordingError("; ".join(map(str, diagnostics)))
+    validations = {}
+    for reported in estimates:
+        method = reported.estimate.method
         with output.Progress(f"validating, {method}") as progress:
-            found[method] = validated(
-                kept.tree,
+            validations[method] = validate_estimate(
+                stored.tree,
                 source,
-                answer.estimate,
+                reported.estimate,
                 gravity=reading.gravity,
-                settings=kept.settings,
+                settings=stored.settings,
                 threads=reading.threads,
                 progress=progress,
-                models=answer.models,
-                held=answer.held,
+                models=reported.models,
+                held=reported.held,
             )
     if as_json:
-        output.print_json({method: encode(each) for method, each in found.items()})
+        output.print_json(
+            {method: to_json_values(each) for method, each in validations.items()}
+        )
     else:
-        said += [
-            each for validation in found.values() for each in validation.diagnostics
+        diagnostics += [
+            each
+            for validation in validations.values()
+            for each in validation.diagnostics
         ]
-        output.print_result(map(validation_table, found.values()), (), said)
+        output.print_result(
+            map(validation_table, validations.values()), (), diagnostics
+        )
 
 
 @command()
@@ -354,19 +395,19 @@ def sample(
     ],
     *,
     count: Annotated[
-        int, typer.Option("-n", min=1, max=100_000, help="How many robots.")
+        int, typer.Option("-n", min=1, max=100_000, help="Number of robots.")
     ] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
-    reading: Annotated[Reading, Fields("model", "settings")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
+    reading: Annotated[ReadingOptions, OptionFields("model", "settings")],
     fixed: FixedLinks = "lump",
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Draw robots that could be the one that was measured, as model files and MuJoCo's fields.
+    """Draw robots from the posterior of an estimate, as model files and MuJoCo fields.
 
-    Draws are joint: of the estimates' covariance, and of the model file (wrong by
-    consistent.prior_error) where data do not determine a parameter. Each is a robot that can exist.
-    The table says of each parameter how much of it is the data's.
+    Draws are joint: from the estimates' covariance, and from the model file (with relative error
+    consistent.prior_error) where data do not determine a parameter. Each is physically consistent.
+    The table gives the share of the data in each parameter.
 
     Example: testbed sample identified.json -n 1000 --out robots
     """
@@ -374,38 +415,46 @@ def sample(
 
     from testbed.bodies.consistency.robots import robots
     from testbed.bodies.prior import prior_of
-    from testbed.bodies.write_model import ARCHIVE, write_models
-    from testbed.core.base.codec import encode
+    from testbed.bodies.write_model import ARCHIVE_NAME, write_models
+    from testbed.core.base.codec import to_json_values
     from testbed.core.base.errors import SettingsError
-    from testbed.core.base.installation import versions
+    from testbed.core.base.installation import package_versions
     from testbed.lab.experiment.read_result import read_result
     from testbed.view import output
-    from testbed.view.bodies import draws_table
+    from testbed.view.bodies import sampled_robots_table
 
     check_outputs(out, force=True, folder=True, read=(result, reading.model))
-    kept = read_result(result, reading.model, reading.settings or ())
-    if kept.tree.is_part:
+    stored = read_result(result, reading.model, reading.settings or ())
+    if stored.tree.is_part:
         raise SettingsError(
             f"'{result}' is of a force sensor: robots need plate or joint torques"
         )
-    others = {each.name for each in out.iterdir()} if out.exists() else set()
-    stem = f"{kept.file.path.stem}_"
-    if others := {name for name in others - {ARCHIVE} if not name.startswith(stem)}:
+    other_files = {each.name for each in out.iterdir()} if out.exists() else set()
+    stem = f"{stored.file.path.stem}_"
+    if other_files := {
+        name for name in other_files - {ARCHIVE_NAME} if not name.startswith(stem)
+    }:
         raise SettingsError(
-            f"'{out}' holds {min(others)}, not robots alone: --out names a new folder"
+            f"'{out}' holds {min(other_files)}, not robots alone: --out names a new folder"
         )
     check_outputs(out, force=force, folder=True)
-    prior = prior_of(kept.prior)
+    prior = prior_of(stored.prior)
     rng = np.random.default_rng(seed)
     with output.Progress("drawing robots"):
-        found = robots(kept.tree, kept.whole_estimates, prior, count, rng, kept.options)
-    note = [f"testbed {versions()['testbed']}: a draw by {result.name}, seed {seed}"]
-    file = kept.file.tree()
+        draws = robots(
+            stored.tree, stored.full_estimates, prior, count, rng, stored.options
+        )
+    note = [
+        f"testbed {package_versions()['testbed']}: a draw by {result.name}, seed {seed}"
+    ]
+    file = stored.file.tree()
     with output.Progress("writing model files"):
-        trees = [found.tree(k, file) for k in range(count)]
-        said = write_models(kept.file, trees, out, fixed=fixed, note=note)
+        trees = [draws.tree(k, file) for k in range(count)]
+        diagnostics = write_models(stored.file, trees, out, fixed=fixed, note=note)
     if as_json:
-        output.print_json(encode(found, exclude={"values"}))
+        output.print_json(to_json_values(draws, exclude={"values"}))
     else:
-        written = [f"{count} robots: {out}"]
-        output.print_result([draws_table(found)], written, [*prior.diagnostics, *said])
+        summary = [f"{count} robots: {out}"]
+        output.print_result(
+            [sampled_robots_table(draws)], summary, [*prior.diagnostics, *diagnostics]
+        )

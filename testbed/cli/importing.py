@@ -1,4 +1,4 @@
-"""Other people's recordings: import, and mapping files proposed from what the files hold."""
+"""Command import: recordings from log files, and mapping files derived from logs."""
 
 from __future__ import annotations
 
@@ -12,22 +12,26 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from testbed.cli.options import (
-    Fields,
     Force,
     Json,
+    OptionFields,
     check_outputs,
     command,
     ending,
-    note,
+    print_notes,
 )
-from testbed.cli.reading import Reading
-from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered
-from testbed.core.base.errors import RecordingError, few
-from testbed.core.base.file_kinds import LOG, kind_of, misplaced
+from testbed.cli.reading import ReadingOptions
+from testbed.core.base.diagnostics import (
+    Diagnostic,
+    make_diagnostic,
+    ordered_diagnostics,
+)
+from testbed.core.base.errors import RecordingError, shortened_list
+from testbed.core.base.file_kinds import FOREIGN_LOG, kind_of, wrong_kind_message
 
 if TYPE_CHECKING:
     from testbed.core.recordings.recording import Recording
-    from testbed.importing.check.check import CheckReport, Prepared
+    from testbed.importing.check.check import CheckReport, PreparedRecordings
     from testbed.importing.check.mapping_solution import MappingSolution
     from testbed.importing.import_report import MappingDraft
 
@@ -35,99 +39,133 @@ if TYPE_CHECKING:
 def write_mapping(
     files: Sequence[Path],
     out: Path | None,
-    reading: Reading,
+    reading: ReadingOptions,
     page: Path | None = None,
 ) -> MappingSolution | None:
-    """Solve the mapping of logs, write it, and print the next command.
+    """Solve the mapping file for log files, write it, and print the next command.
+
+    Notes on standard error list the keys that remain empty, with their line numbers.
 
     Args:
-        files: Of other programs.
-        out: Mapping file to write.
-        reading: The robot's model file, if it is known, and how it is read.
-        page: HTML file to write of what was solved.
+        files: Log files of other programs.
+        out: Mapping file to write; None to print the mapping.
+        reading: Options of the robot's model file, if a model is given.
+        page: HTML page of the solution to write; None for no page.
 
     Returns:
-        The solved mapping; None where it is not complete.
+        The solved mapping; None if keys remain empty (`missing_keys`), or if the mapping was
+        printed.
 
     Raises:
-        TestbedError: The data contradict the mapping, which is written as far as it is known.
+        RecordingError: The data contradict the mapping. The mapping is written first, as far as it
+            was solved; the message contains the line of the contradiction.
     """
-    from testbed.core.base.files import together
-    from testbed.core.base.whole_files import write_whole
-    from testbed.importing.check.draft_mapping import missing
+    from testbed.core.base.files import replace_together
+    from testbed.core.base.whole_files import write_atomically
+    from testbed.importing.check.draft_mapping import missing_keys
     from testbed.view import output
-    from testbed.view.mapping import solved_table, write_mapping_page
+    from testbed.view.mapping import mapping_table, write_mapping_page
 
-    written = out or Path("mapping.toml")
-    solution = _solution(files, written, reading)
+    mapping_path = out or Path("mapping.toml")
+    solution = _solve_and_print(files, mapping_path, reading)
     draft = solution.draft
-    solved = solved_table(draft)
+    solved = mapping_table(draft)
     if out is not None and reading.model is not None and solved.rows:
         output.print_result([solved])
-    with together():
+    with replace_together():
         if page is not None:
             write_mapping_page(page, solution)
         if out is not None:
-            write_whole(out, draft.text)
+            write_atomically(out, draft.text)
     if out is None:
         typer.echo(draft.text, nl=False)
-    if solution.refusal is not None:
-        raise _refused(solution.refusal, draft, written)
+    if solution.error is not None:
+        raise _refusal_with_line(solution.error, draft, mapping_path)
     if out is None:
         return None
-    empty = missing(draft)
+    missing = missing_keys(draft)
     notes = {
-        f"{table}.{key}".removeprefix("."): said
-        for (table, key), said in draft.notes.items()
+        f"{table}.{key}".removeprefix("."): text
+        for (table, key), text in draft.key_comments.items()
     }
-    note(
-        f"{out}:{draft.line(key)}: {key}: {notes.get(key, 'not found')}"
-        for key in empty
+    print_notes(
+        f"{out}:{draft.line_number(key)}: {key}: {notes.get(key, 'not found')}"
+        for key in missing
     )
-    fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
-    words = ["import", out, "--out", out.with_suffix(".parquet"), *reading.model_words]
-    typer.echo(f"{out}: {fill}testbed {shlex.join(map(str, words))}")
-    return None if empty else solution
+    instruction = (
+        f"fill in what is empty ({', '.join(missing)}), then " if missing else ""
+    )
+    command_words = [
+        "import",
+        out,
+        "--out",
+        out.with_suffix(".parquet"),
+        *reading.model_words,
+    ]
+    typer.echo(f"{out}: {instruction}testbed {shlex.join(map(str, command_words))}")
+    return None if missing else solution
 
 
-def _solution(
-    files: Sequence[Path], written: Path, reading: Reading
+def _solve_and_print(
+    files: Sequence[Path], mapping_path: Path, reading: ReadingOptions
 ) -> MappingSolution:
-    """Mapping by the columns' names and, where the robot is known, by the data."""
-    from testbed.core.robot.gravity import in_words
-    from testbed.core.robot.placeholders import placeholders
+    """Solve a mapping from column names and, if a model is given, from the data.
+
+    Without a model, the draft from the column names is returned and nothing is printed. With a
+    model, diagnostics of the solution, of locked joints and of the robot are printed. --gravity
+    overrides the draft.
+
+    Args:
+        files: Log files.
+        mapping_path: Mapping file; paths in it are relative to its folder.
+        reading: Options of the robot's model file.
+
+    Returns:
+        The solution. A contradiction by the data is not raised, but stored in its `error`.
+    """
+    from testbed.core.robot.gravity import mounting_name
+    from testbed.core.robot.placeholders import find_placeholders
     from testbed.importing.check.draft_mapping import draft_mapping
     from testbed.importing.check.mapping_solution import MappingSolution, solve_mapping
-    from testbed.importing.guess import guessed
+    from testbed.importing.guess import guess_mapping
     from testbed.view import output
 
     with output.Progress("reading"):
         if reading.model is None:
-            return MappingSolution(guessed(files, written.parent))
-        draft, file, tree = draft_mapping(files, written.parent, reading.file)
+            return MappingSolution(guess_mapping(files, mapping_path.parent))
+        draft, file, tree = draft_mapping(files, mapping_path.parent, reading.file)
         if reading.gravity is not None:
-            stated = in_words(reading.gravity)
-            draft = draft.saying("", "gravity", stated, "by --gravity")
+            gravity_text = mounting_name(reading.gravity)
+            draft = draft.with_key("", "gravity", gravity_text, "by --gravity")
     with output.Progress("solving the mapping, hypotheses") as bar:
-        solution = solve_mapping(draft, written, tree, bar)
+        solution = solve_mapping(draft, mapping_path, tree, bar)
     lock = solution.draft.tables.get("lock", {})
-    locked = few([f"{name} at {q:.4g}" for name, q in lock.items()])
-    said = [diagnose("robot.locked", locked)] if locked else []
+    locked = shortened_list([f"{name} at {q:.4g}" for name, q in lock.items()])
+    lock_diagnostics = [make_diagnostic("robot.locked", locked)] if locked else []
     if file.weld_root and not reading.weld_root:
-        said.append(diagnose("robot.welded", tree.name))
-    found = (*solution.diagnostics, *said, *tree.diagnostics)
-    # what the log contradicts comes before what its robot's file lacks
-    lacking = placeholders(tree).diagnostics if solution.refusal is None else ()
-    output.print_result(diagnostics=[*found, *lacking])
+        lock_diagnostics.append(make_diagnostic("robot.welded", tree.name))
+    diagnostics = (*solution.diagnostics, *lock_diagnostics, *tree.diagnostics)
+    # placeholders of the model file are not reported with a refused log
+    placeholders = find_placeholders(tree).diagnostics if solution.error is None else ()
+    output.print_result(diagnostics=[*diagnostics, *placeholders])
     return solution
 
 
-def _refused(refusal: Exception, draft: MappingDraft, written: Path) -> RecordingError:
-    """Refusal of a solved mapping that names the line in question."""
-    reason = str(refusal).removeprefix(f"{written}: ")
-    named = re.search(r"\[([\w.]+)\] (\w+)", reason)
-    number = draft.line(f"{named[1]}.{named[2]}") if named else 1
-    return RecordingError(f"{written}:{number}: {reason}")
+def _refusal_with_line(
+    refusal: Exception, draft: MappingDraft, mapping_path: Path
+) -> RecordingError:
+    """Error for a refused mapping, with the message "file:line: reason".
+
+    Args:
+        refusal: Original error. The line is that of the key if the message contains "[table] key",
+            otherwise 1.
+        draft: Draft of the mapping, with its text.
+        mapping_path: Mapping file.
+    """
+    reason = str(refusal).removeprefix(f"{mapping_path}: ")
+    match = re.search(r"\[([\w.]+)\] (\w+)", reason)
+    number = draft.line_number(f"{match[1]}.{match[2]}") if match else 1
+    return RecordingError(f"{mapping_path}:{number}: {reason}")
 
 
 @command("import")
@@ -150,8 +188,8 @@ def import_(
     ] = False,
     *,
     reading: Annotated[
-        Reading,
-        Fields(
+        ReadingOptions,
+        OptionFields(
             "model",
             "gravity",
             "settings",
@@ -177,26 +215,32 @@ def import_(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS, LeRobot, and others.
+    """Convert log files to a recording: CSV, MATLAB, HDF5, ROS, LeRobot, and others.
 
     With --model, signs, units, order, encoder zeros and clocks are checked against the robot. With
-    --guess a mapping file is written from the column names; with --guess and --model what these do
-    not state, such as the plate's frame, units, sense, zero and clock, is solved from the data.
+    --guess a mapping file is written from the column names; with --guess and --model the plate's
+    frame, units, sense, zero and clock, if column names do not give them, are solved from the data.
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.importing.convert import concatenated
-    from testbed.importing.mapping import sources
+    from testbed.importing.convert import joined_recording
+    from testbed.importing.mapping import source_paths
     from testbed.view import output
 
     for each in files:
         if not guess and each.suffix.lower() != ".toml":
-            raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
+            raise typer.BadParameter(
+                wrong_kind_message(each, kind_of(each) or FOREIGN_LOG, "mapping")
+            )
     if page is not None and not (guess and reading.model):
         raise typer.BadParameter(
             "--page is of a mapping: --guess and --model go with it"
         )
-    read = [*files, reading.model, *(() if guess or out is None else sources(files[0]))]
+    read = [
+        *files,
+        reading.model,
+        *(() if guess or out is None else source_paths(files[0])),
+    ]
     check_outputs(out, page, force=force, read=read)
     if guess:
         write_mapping(files, out, reading, page)
@@ -214,10 +258,10 @@ def import_(
         )
     recordings, cuts, report = checked_import(mapping, reading, align=align)
     if reading.model is not None:
-        known = reading.robot_of(recordings[0])[0].diagnostics
-        report = replace(report, diagnostics=(*known, *report.diagnostics))
-    clocks = list(_clock_lines(report, " (corrected)" if align else ""))
-    concatenated(recordings, cuts).save(out)
+        robot_diagnostics = reading.robot_of(recordings[0])[0].diagnostics
+        report = replace(report, diagnostics=(*robot_diagnostics, *report.diagnostics))
+    clocks = list(_time_offset_lines(report, " (corrected)" if align else ""))
+    joined_recording(recordings, cuts).save(out)
     imports = [recording.metadata.report for recording in recordings]
     if as_json:
         document: dict[str, object] = {
@@ -238,46 +282,70 @@ def _print_imports(
     cuts: Iterable[Diagnostic],
     report: CheckReport,
 ) -> None:
-    """Print what imports did, then further lines, cuts and doubts."""
+    """Print import reports, further lines and diagnostics.
+
+    Args:
+        imports: Import reports as dictionaries, one per recording.
+        lines: Further lines, printed after the reports.
+        cuts: Diagnostics of the gaps at which recordings were split; printed first.
+        report: Report of the plausibility check.
+    """
     from testbed.importing.import_report import ImportReport
     from testbed.view import output
 
     reports = [ImportReport.from_dict(each) for each in imports]
-    doubts = [each for report in reports for each in report.diagnostics]
-    every = [*(line for report in reports for line in report.lines()), *lines]
-    output.print_result((), every, [*cuts, *ordered([*doubts, *report.diagnostics])])
+    import_diagnostics = [each for report in reports for each in report.diagnostics]
+    all_lines = [*(line for report in reports for line in report.text_lines()), *lines]
+    output.print_result(
+        (),
+        all_lines,
+        [*cuts, *ordered_diagnostics([*import_diagnostics, *report.diagnostics])],
+    )
 
 
-def _clock_lines(report: CheckReport, correction: str) -> Iterator[str]:
-    """How late signals are, and what was done about it."""
+def _time_offset_lines(report: CheckReport, correction: str) -> Iterator[str]:
+    """Yield one line per signal with its time offset relative to the positions.
+
+    Args:
+        report: Report of the plausibility check, with the offsets.
+        correction: Text appended to a significant offset; other lines end in ", not significant".
+    """
     for each in report.offsets:
         yield each.diagnostic().text + (
-            correction if each.matters else ", not significant"
+            correction if each.is_significant else ", not significant"
         )
 
 
 def checked_import(
     mapping: Path,
-    reading: Reading,
+    reading: ReadingOptions,
     *,
     align: bool = False,
-    prepared: Prepared | None = None,
+    prepared: PreparedRecordings | None = None,
 ) -> tuple[Sequence[Recording], list[Diagnostic], CheckReport]:
-    """Recordings that a mapping file makes, where it was cut, and their check by the robot.
+    """Import the recordings of a mapping file, and check their plausibility.
 
     Args:
-        mapping: The file.
-        reading: How the robot is read; without a model nothing is checked.
-        align: Whether delays and drifts of clocks are taken back.
-        prepared: The recordings, where they were made already.
+        mapping: Mapping file.
+        reading: Options of the model file; without a model the check is skipped.
+        align: True to correct delays and drifts of the clocks.
+        prepared: Recordings of the mapping that have already been imported, to avoid a second
+            import.
+
+    Returns:
+        Recordings, diagnostics of the gaps between them, and report of the check (empty without a
+        model).
+
+    Raises:
+        RecordingError: The longest recording contradicts the robot.
     """
     from testbed.importing.check.check import CheckReport, import_and_check
-    from testbed.importing.convert import pieces
+    from testbed.importing.convert import import_recordings
     from testbed.view import output
 
     if reading.model is None:
         with output.Progress("importing"):
-            return *pieces(mapping), CheckReport()
+            return *import_recordings(mapping), CheckReport()
     with output.Progress("importing, checking against the robot") as bar:
         return import_and_check(
             mapping,

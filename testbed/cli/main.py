@@ -1,8 +1,8 @@
-"""The command line: parses, calls, prints.
+"""Entry point of the command line: error messages, exit codes and interrupts.
 
-Exit codes: 0 done and as expected; 1 done, but a claim of [expect] failed; 2 the input is
-at fault, with one message on standard error; 70 a fault of this program; 130 interrupted;
-141 nobody reads the output any more.
+Exit codes: 0 success; 1 finished, but an expectation of [expect] failed; 2 error in the input,
+with one message on standard error; 70 error of this program; 130 interrupted; 141 closed output
+pipe.
 """
 
 from __future__ import annotations
@@ -15,156 +15,178 @@ import sys
 from types import FrameType
 from typing import TextIO
 
-RESERVE = 1_000_000
-"""Bytes that are kept back for saying that there is no more memory."""
+RESERVED_BYTES = 1_000_000
+"""Memory reserved for the message of a MemoryError [bytes]."""
 
-YOUNG = 100_000
-"""Objects between two collections of cycles: imports alone make a million, and leave few."""
+COLLECTION_THRESHOLD = 100_000
+"""Allocations between garbage collections: imports allocate a million objects, few cyclic."""
 
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that end a command: by Ctrl-C, by another process, by a terminal that is closed."""
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a command: Ctrl-C, termination, closed terminal."""
 
-INPUT_AT_FAULT, OUR_FAULT, INTERRUPTED, UNREAD = 2, 70, 130, 141
+INPUT_ERROR, PROGRAM_ERROR, INTERRUPTED, BROKEN_PIPE = 2, 70, 130, 141
 
 
 def main() -> None:
-    """Run a command; what the user got wrong is one line and exit code 2.
+    """Run the command given on the command line, and exit with its exit code.
 
-    What is heavy is imported by `_command`, so that Ctrl-C is answered from the first moment.
+    Any exception is converted to a message on standard error and an exit code (see the module
+    docstring). Slow modules are imported in `_command`, so that Ctrl-C is handled from the start.
     """
-    interrupts, reserve = _Interrupts(), bytearray(RESERVE)
-    gc.set_threshold(YOUNG)
+    interrupts, reserve = _Interrupts(), bytearray(RESERVED_BYTES)
+    gc.set_threshold(COLLECTION_THRESHOLD)
     try:
         try:
-            _ready_streams()
+            _prepare_streams()
             code = _command()
         except BaseException as error:
             del reserve
-            code = INTERRUPTED if interrupts.seen else _told(error)
-        interrupts.default()
+            code = INTERRUPTED if interrupts.interrupted else _print_error(error)
+        interrupts.restore_defaults()
     except KeyboardInterrupt:  # between an error and its message
         code = INTERRUPTED
     if code == INTERRUPTED:
-        _say("interrupted")
-    code = _flushed(code)
-    interrupts.ignore()
-    gc.freeze()  # the process ends: to look for cycles in all that was imported takes .3 s
+        _print_line("interrupted")
+    code = _flush_output(code)
+    interrupts.ignore_interrupts()
+    gc.freeze()  # avoids a garbage collection of .3 s at exit
     sys.exit(code)
 
 
 class _Interrupts:
-    """The first Ctrl-C is an exception and the work is tidied up; the next one ends at once.
+    """Signal handlers for Ctrl-C: the first raises KeyboardInterrupt, the second ends the process.
 
-    So are the signals by which a system or a closing terminal ends a process.
-    An import that is interrupted may raise any other exception instead: `seen` says. Where
-    Python swallows an exception, in callbacks of its own, it is raised again a moment later.
+    SIGTERM and SIGHUP are treated as Ctrl-C; signals that the parent process ignores remain
+    ignored. An import that is interrupted may raise a different exception, so `interrupted` is set
+    to True by any of these signals. If Python discards the KeyboardInterrupt, as in a callback, it
+    is raised again after 10 ms.
     """
 
     def __init__(self) -> None:
-        self.seen = False
-        # else ignored, as under nohup
-        usual = (
+        self.interrupted = False
+        # other handlers stay, such as ignored signals under nohup
+        default_handlers = (
             signal.default_int_handler,
             signal.SIG_DFL,
         )
-        self._caught = [each for each in ENDING if signal.getsignal(each) in usual]
-        for each in self._caught:
+        self._handled_signals = [
+            each
+            for each in ENDING_SIGNALS
+            if signal.getsignal(each) in default_handlers
+        ]
+        for each in self._handled_signals:
             signal.signal(each, self._interrupt)
-        sys.unraisablehook = self._swallowed
+        sys.unraisablehook = self._repeat_interrupt
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        self.seen = True
-        self.default()
+        """Handle the first signal: restore the default handlers and raise KeyboardInterrupt."""
+        self.interrupted = True
+        self.restore_defaults()
         raise KeyboardInterrupt
 
-    def _swallowed(self, what: sys.UnraisableHookArgs) -> None:
-        """Python has caught an exception that nobody can catch."""
+    def _repeat_interrupt(self, unraisable: sys.UnraisableHookArgs) -> None:
+        """Raise a KeyboardInterrupt that Python has discarded again, after 10 ms.
+
+        For other exceptions, and on platforms without timers, Python's default hook is called.
+        """
         if (
-            self.seen
-            and what.exc_type is KeyboardInterrupt
+            self.interrupted
+            and unraisable.exc_type is KeyboardInterrupt
             and hasattr(signal, "setitimer")
         ):
             signal.signal(signal.SIGALRM, self._interrupt)
             signal.setitimer(signal.ITIMER_REAL, 0.01)
         else:
-            sys.__unraisablehook__(what)
+            sys.__unraisablehook__(unraisable)
 
-    def ignore(self) -> None:
-        """Everything is done and said: Ctrl-C no longer matters."""
+    def ignore_interrupts(self) -> None:
+        """Ignore Ctrl-C from now on; called when all output has been written."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
-    def default(self) -> None:
-        """From now on a signal ends the process without a word."""
-        for each in self._caught:
+    def restore_defaults(self) -> None:
+        """Restore the default signal handlers, which end the process without a message."""
+        for each in self._handled_signals:
             if signal.getsignal(each) == self._interrupt:
                 signal.signal(each, signal.SIG_DFL)
 
 
-def _ready_streams() -> None:
-    """Streams that are there even if whoever started us closed them; output takes any text."""
+def _prepare_streams() -> None:
+    """Replace closed standard streams by the null device, and set error handling for encoding.
+
+    Characters that the encoding of standard output lacks are written as backslash escapes.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        # in this order each takes its own file descriptor
+        # in this order each stream gets its standard file descriptor
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123, SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # names in letters a terminal lacks
+        # for characters that the terminal cannot encode
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _command() -> int:
-    """Carry out what the command line asks for; its exit code."""
+    """Run the command given on the command line, and return its exit code.
+
+    The warning filter, and environment variables for MuJoCo and Matplotlib, are set first. Errors
+    of the command are raised.
+    """
     import warnings
 
     from testbed.cli.commands import app
-    from testbed.cli.options import joined_vectors
+    from testbed.cli.options import join_gravity_words
     from testbed.core.base.cache import cache_folder
-    from testbed.core.base.files import guarded
+    from testbed.core.base.files import refuse_changed_targets
 
-    warnings.simplefilter("ignore")  # numerical doubt is a field of the result
-    # no command renders: else MuJoCo would start another Python to try a library of windows
+    warnings.simplefilter("ignore")  # numerical warnings are fields of the results
+    # no command renders; otherwise MuJoCo starts a Python process to test a window library
     os.environ.setdefault("MUJOCO_GL", "disable")
-    # else Matplotlib keeps its list of fonts elsewhere in the home folder
+    # otherwise Matplotlib writes its font cache elsewhere in the home folder
     os.environ.setdefault("MPLCONFIGDIR", str(cache_folder() / "matplotlib"))
     try:
-        with guarded():
-            code = app(joined_vectors(sys.argv[1:]), standalone_mode=False)
-    except SystemExit:  # the option parser's answer to a broken pipe
-        return UNREAD
+        with refuse_changed_targets():
+            code = app(join_gravity_words(sys.argv[1:]), standalone_mode=False)
+    except SystemExit:  # raised by the option parser for a broken pipe
+        return BROKEN_PIPE
     sys.stdout.flush()
     return code if isinstance(code, int) else 0
 
 
-def _told(error: BaseException) -> int:
-    """Say what an error means, in one line; the exit code."""
+def _print_error(error: BaseException) -> int:
+    """Print the message of an error on one line, and return the exit code.
+
+    The code is 2 for `TestbedError` and for errors of the operating system, memory, nesting depth,
+    encoding and options. It is 70 for a library that cannot be loaded and, with a traceback, for
+    other exceptions. It is 141, without a message, for a closed pipe.
+    """
     from testbed.core.base.errors import TestbedError
 
-    code, message = INPUT_AT_FAULT, str(error)
+    code, message = INPUT_ERROR, str(error)
     match error:
         case TestbedError():
             pass
         case BrokenPipeError():
-            return UNREAD
+            return BROKEN_PIPE
         case OSError():  # a full disk, a folder that may not be written
-            name = error.filename2 or error.filename  # of a copy, where it goes to
-            place = f"'{name}': " if name is not None else ""
-            message = f"{place}{error.strerror}" if error.strerror else message
+            name = error.filename2 or error.filename  # for a copy the target
+            path_text = f"'{name}': " if name is not None else ""
+            message = f"{path_text}{error.strerror}" if error.strerror else message
         case MemoryError():
             message = "not enough memory; ask for less, such as a shorter motion"
         case RecursionError():
             message = "the input is nested too deeply"
         case UnicodeDecodeError():
-            fault = f"{error.reason} at byte {error.start}"
-            message = f"a file that should be text is not UTF-8: {fault}"
-        case ImportError():  # an installation that is broken, or no memory for it
-            code, message = OUR_FAULT, f"a library cannot be loaded: {error}"
-        case _ if hasattr(error, "format_message"):  # of the option parser
+            reason = f"{error.reason} at byte {error.start}"
+            message = f"a file that should be text is not UTF-8: {reason}"
+        case ImportError():  # broken installation, or too little memory
+            code, message = PROGRAM_ERROR, f"a library cannot be loaded: {error}"
+        case _ if hasattr(error, "format_message"):  # error of the option parser
             context = getattr(error, "ctx", None)
             command = (
                 f" {context.info_name}"
                 if context is not None and context.parent
                 else ""
             )
-            # none where it has printed the help instead
+            # empty if the help was printed instead
             message = error.format_message()
             message = message and f"{message} (see testbed{command} --help)"
         case _:
@@ -172,34 +194,38 @@ def _told(error: BaseException) -> int:
 
             traceback.print_exception(error)
             code, message = (
-                OUR_FAULT,
+                PROGRAM_ERROR,
                 "the above is a fault of the program; please report it",
             )
     if message:
-        _say(message)
+        _print_line(message)
     return code
 
 
-def _say(message: str) -> None:
-    """One line on standard error."""
-    from testbed.core.base.errors import printable
+def _print_line(message: str) -> None:
+    """Print one line on standard error with the prefix "testbed: ", ignoring a closed pipe."""
+    from testbed.core.base.errors import printable_line
 
     try:
-        sys.stderr.write(f"testbed: {printable(message)}\n")
+        sys.stderr.write(f"testbed: {printable_line(message)}\n")
         sys.stderr.flush()
-    except OSError:  # nobody reads any more
-        _give_up(sys.stderr)
+    except OSError:  # the pipe is closed
+        _discard_output(sys.stderr)
 
 
-def _flushed(code: int) -> int:
-    """The exit code, once nothing is left to write: the interpreter's own words are many."""
+def _flush_output(code: int) -> int:
+    """Flush standard output, and return the exit code.
+
+    After an OSError, for example due to a closed pipe, remaining output is discarded and the given
+    code is returned.
+    """
     try:
         sys.stdout.flush()
     except OSError:
-        _give_up(sys.stdout)
+        _discard_output(sys.stdout)
     return code
 
 
-def _give_up(stream: TextIO) -> None:
-    """What still waits to be written goes nowhere; the interpreter would try again at the end."""
+def _discard_output(stream: TextIO) -> None:
+    """Redirect a stream to the null device, so that the flush at exit cannot fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -1,4 +1,4 @@
-"""Recordings of commands: opened from their files, corrected by a plate's calibration."""
+"""Opening of recordings for commands, and correction by a plate's calibration."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ if TYPE_CHECKING:
 
 
 def require_different(paths: Sequence[Path]) -> None:
-    """Refuse a recording that is given twice: its noise would count as another's.
+    """Raise RecordingError if a recording is given twice.
+
+    The noise of the two copies would be treated as independent.
 
     Args:
-        paths: Recordings, links to them too.
+        paths: Paths of recordings, or links to recordings.
 
     Raises:
-        RecordingError: One is there twice.
+        RecordingError: A recording is given twice.
     """
-    places = [os.path.realpath(path) for path in paths]  # of a link to itself, too
+    places = [
+        os.path.realpath(path) for path in paths
+    ]  # does not fail for a link to itself
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:
             raise RecordingError(
@@ -31,15 +35,16 @@ def require_different(paths: Sequence[Path]) -> None:
             )
 
 
-def opened(path: Path) -> Source:
-    """A recording that stays in its file, or one that a mapping file makes.
+def open_recording(path: Path) -> Source:
+    """Open a recording, or import the one that a mapping file describes.
 
     Args:
-        path: Parquet, or TOML for a mapping.
+        path: Recording (Parquet), whose data stay in the file, or mapping file (.toml), whose log
+            files are read into memory.
 
     Raises:
-        RecordingError: It is no recording.
-        ExperimentError: The mapping is not understood.
+        RecordingError: The file is not a recording.
+        ExperimentError: The mapping is invalid.
     """
     if path.suffix == ".toml":
         from testbed.importing.convert import import_recording
@@ -51,14 +56,18 @@ def opened(path: Path) -> Source:
 
 
 def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:
-    """A recording as a perfect plate would have made it.
+    """Recording whose wrench is corrected for the calibrated errors of the plate.
 
     Args:
-        source: As it was made.
+        source: The recording.
         tree: The robot.
-        plate: The plate's file; None where it is taken as perfect.
+        plate: Calibration file of the plate; None to return the recording unchanged.
     """
     from testbed.applications.calibration import corrected
-    from testbed.lab.experiment.plate_file import read_plate
+    from testbed.lab.experiment.plate_file import read_calibration
 
-    return source if plate is None else corrected(source, tree, read_plate(plate, tree))
+    return (
+        source
+        if plate is None
+        else corrected(source, tree, read_calibration(plate, tree))
+    )

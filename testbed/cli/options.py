@@ -1,4 +1,4 @@
-"""Options of commands: the application, types that commands share, groups of them as values."""
+"""Application, shared option types of commands, and option groups as dataclasses."""
 
 from __future__ import annotations
 
@@ -12,28 +12,31 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
 
 import typer
 
-from testbed.core.base.errors import printable
-from testbed.core.base.installation import own_or_shipped
-from testbed.core.robot.gravity import MOUNTINGS, gravity_of
+from testbed.core.base.errors import printable_line
+from testbed.core.base.installation import user_or_shipped_file
+from testbed.core.robot.gravity import GRAVITY_BY_MOUNTING, parse_gravity
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
 
 def ending(*endings: str) -> Callable[[Path | None], Path | None]:
-    """A check of the name of a file to write: it says what will be in it.
+    """Callback that checks the suffix of an output file.
+
+    It returns the path, or raises BadParameter if the suffix is not allowed.
 
     Args:
-        endings: That the file may have, as ".html".
+        *endings: Allowed suffixes in lower case, such as ".html"; the case of the path's suffix is
+            ignored.
     """
 
-    def checked(path: Path | None) -> Path | None:
+    def check_suffix(path: Path | None) -> Path | None:
         if path is not None and path.suffix.lower() not in endings:
             raise typer.BadParameter(
                 f"'{path}': it is written as {' or '.join(endings)}"
             )
         return path
 
-    return checked
+    return check_suffix
 
 
 def check_outputs(
@@ -42,17 +45,17 @@ def check_outputs(
     folder: bool = False,
     read: Iterable[Path | None] = (),
 ) -> None:
-    """Check, before the work, that a command may write its outputs.
+    """Check that a command may write its outputs, before it does any work.
 
     Args:
-        paths: Files to write; None for nothing.
-        force: Whether what stands there is replaced.
-        folder: Whether they are folders.
-        read: Files that are read, and never replaced; None for nothing.
+        *paths: Files to write; None is ignored.
+        force: True if existing files may be replaced.
+        folder: True if the paths are folders.
+        read: Input files, which are never replaced; None is ignored.
 
     Raises:
-        BadParameter: Something stands there.
-        OSError: As `check_writable`.
+        BadParameter: A file exists, or a folder is not empty, and `force` is False.
+        OSError: An output cannot be written, is also an input, or is given twice.
     """
     from testbed.core.base.files import check_writable
 
@@ -69,8 +72,8 @@ def check_outputs(
             )
 
 
-class Vector(NamedTuple):
-    """Gravity by three numbers, as 0,0,-9.81, or by a word."""
+class GravityVector(NamedTuple):
+    """Gravity given by --gravity, in the bedplate frame, (x, y, z) [m/s^2]."""
 
     x: float
     y: float
@@ -80,31 +83,42 @@ class Vector(NamedTuple):
         return f"{self.x:g} {self.y:g} {self.z:g}"
 
     @staticmethod
-    def parse(word: str) -> Vector:
-        """The numbers of a word."""
+    def parse(word: str) -> GravityVector:
+        """Parse the value of --gravity.
+
+        Args:
+            word: Three numbers such as 0,0,-9.81, or a mounting such as `wall +x`.
+
+        Raises:
+            BadParameter: The word is neither of these.
+        """
         try:
-            return Vector(*gravity_of(word))
+            return GravityVector(*parse_gravity(word))
         except ValueError as error:
             raise typer.BadParameter(str(error)) from None
 
 
-def joined_vectors(words: list[str]) -> list[str]:
-    """The command line's words, those of `--gravity 0 0 -9.81` or `--gravity wall +x` as one."""
-    first = [*words, "--gravity"].index("--gravity") + 1
-    for last in (first + 2, first + 3):
-        joined = " ".join(words[first:last])
+def join_gravity_words(words: list[str]) -> list[str]:
+    """Join the words of the first --gravity in command-line arguments to a single word.
+
+    Joining two words is tried first, then three (`wall +x`, `0 0 -9.81`). Words that do not
+    describe gravity are left unchanged.
+    """
+    start = [*words, "--gravity"].index("--gravity") + 1
+    for end in (start + 2, start + 3):
+        joined = " ".join(words[start:end])
         with suppress(ValueError):
-            gravity_of(joined)
-            return [*words[:first], joined, *words[last:]]
+            parse_gravity(joined)
+            return [*words[:start], joined, *words[end:]]
     return words
 
 
 OUTPUT, ROBOT = "Output and speed", "Robot"
-"""Groups of options in a command's help, after the common ones."""
+"""Panels of options in a command's help, after the common options."""
 
 app = typer.Typer(
     no_args_is_help=True,
-    rich_markup_mode="markdown",  # paragraphs flow, words in [brackets] are words
+    rich_markup_mode="markdown",  # joins lines of a paragraph, leaves [brackets] alone
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     help="Identify the inertial parameters of a robot from joint torques or from a force plate "
@@ -112,22 +126,23 @@ app = typer.Typer(
 )
 
 
-class Fields:
-    """Fields of a dataclass that are options of a command, beside its type.
+class OptionFields:
+    """Annotation that lists the fields of a dataclass that are options of a command.
 
     Attributes:
-        names: Of the fields, in the order of the help.
-        required: Types of options that a command requires, by name; they come first.
+        names: Names of the fields, in the order of the help text.
+        required: Annotated types of required options, keyed by field; these come first, and their
+            type replaces type and default of the field.
     """
 
     def __init__(self, *names: str, **required: Any) -> None:
         self.names, self.required = (*required, *names), required
 
     def parameters(self, group: Any) -> list[Parameter]:
-        """The options as parameters of a function.
+        """Keyword-only parameters for a signature, one per field in `names`.
 
         Args:
-            group: The dataclass.
+            group: Dataclass of the options.
         """
         defaults = {each.name: each.default for each in fields(group)}
         defaults |= dict.fromkeys(self.required, Parameter.empty)
@@ -136,51 +151,57 @@ class Fields:
 
 
 def _parameter(name: str, hint: Any, default: Any) -> Parameter:
+    """Keyword-only parameter for a command's signature."""
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
 def command(name: str | None = None) -> Callable[[Command], Command]:
-    """Make a function a command; a parameter annotated with `Fields` is a group of options.
+    """Decorator that registers a function as a command and expands its option groups.
+
+    A parameter annotated with `OptionFields` is a dataclass. The listed fields become separate
+    options, from which the command builds the dataclass. The function itself is returned unchanged.
 
     Args:
-        name: Of the command; default the function's.
+        name: Name of the command; default the function's name.
     """
 
-    def registered(function: Command) -> Command:
+    def register(function: Command) -> Command:
         hints = get_type_hints(function, include_extras=True)
-        groups: dict[str, tuple[Any, Fields]] = {}
-        options: list[Parameter] = []
+        groups: dict[str, tuple[Any, OptionFields]] = {}
+        parameters: list[Parameter] = []
         for each in signature(function).parameters.values():
             hint = hints[each.name]
             kind, *metadata = get_args(hint) or (None,)
-            if metadata and isinstance(metadata[0], Fields):
+            if metadata and isinstance(metadata[0], OptionFields):
                 groups[each.name] = kind, metadata[0]
-                options += metadata[0].parameters(kind)
+                parameters += metadata[0].parameters(kind)
             else:
-                options.append(_parameter(each.name, hint, each.default))
+                parameters.append(_parameter(each.name, hint, each.default))
 
         @wraps(function)
-        def flat(**values: Any) -> None:
-            for group, (kind, chosen) in groups.items():
+        def flat_function(**values: Any) -> None:
+            for group, (kind, group_fields) in groups.items():
                 values[group] = kind(
-                    **{each: values.pop(each) for each in chosen.names}
+                    **{each: values.pop(each) for each in group_fields.names}
                 )
             function(**values)
 
-        flat.__signature__ = Signature(options)  # type: ignore[attr-defined]
-        flat.__annotations__ = {each.name: each.annotation for each in options}
-        app.command(name)(flat)
+        flat_function.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+        flat_function.__annotations__ = {
+            each.name: each.annotation for each in parameters
+        }
+        app.command(name)(flat_function)
         return function
 
-    return registered
+    return register
 
 
-def _version(wanted: bool) -> None:
-    """Print the version and stop."""
-    if wanted:
-        from testbed.core.base.installation import version
+def _print_version(requested: bool) -> None:
+    """Print the version and exit; callback of --version."""
+    if requested:
+        from testbed.core.base.installation import installed_version
 
-        typer.echo(f"testbed {version()}")
+        typer.echo(f"testbed {installed_version()}")
         raise typer.Exit
 
 
@@ -189,11 +210,15 @@ def _options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_version, is_eager=True, help="Print the version."
+            "--version",
+            callback=_print_version,
+            is_eager=True,
+            help="Print the version.",
         ),
     ] = False,
 ) -> None:
-    del version  # its callback has done it
+    """Options before the command: --version."""
+    del version  # handled by the callback
 
 
 Json = Annotated[
@@ -209,19 +234,20 @@ Everything = Annotated[
 ]
 
 
-def _timed(context: typer.Context, wanted: bool) -> bool:
-    if wanted:
-        from testbed.view.output import printed_stages
+def _enable_timings(context: typer.Context, enabled: bool) -> bool:
+    """Print the CPU times of stages at the end of the command; callback of --timings."""
+    if enabled:
+        from testbed.view.output import print_stage_times
 
-        context.with_resource(printed_stages())
-    return wanted
+        context.with_resource(print_stage_times())
+    return enabled
 
 
 Timings = Annotated[
     bool,
     typer.Option(
         "--timings",
-        callback=_timed,
+        callback=_enable_timings,
         help="Print the CPU time of each stage.",
         rich_help_panel=OUTPUT,
     ),
@@ -236,36 +262,38 @@ Set = Annotated[
 ]
 Force = Annotated[
     bool,
-    typer.Option(
-        "--force", help="Replace files that are there.", rich_help_panel=OUTPUT
-    ),
+    typer.Option("--force", help="Replace existing files.", rich_help_panel=OUTPUT),
 ]
 Model = Annotated[
     Path,
-    typer.Argument(metavar="MODEL", parser=own_or_shipped, help="MJCF or URDF file."),
+    typer.Argument(
+        metavar="MODEL", parser=user_or_shipped_file, help="MJCF or URDF file."
+    ),
 ]
 Gravity = Annotated[
-    Vector | None,
+    GravityVector | None,
     typer.Option(
         "--gravity",
         metavar="X,Y,Z|WORD",
-        parser=Vector.parse,
-        help=f"Gravity [m/s^2] in the base's axes, or {', '.join(MOUNTINGS)}; goes before what "
-        "recording, experiment and model file say.",
+        parser=GravityVector.parse,
+        help=f"Gravity [m/s^2] in the base's axes, or {', '.join(GRAVITY_BY_MOUNTING)}; "
+        "goes before what recording, experiment and model file say.",
         rich_help_panel=ROBOT,
     ),
 ]
 
 
-def with_gravity(settings: list[str] | None, gravity: Vector | None) -> list[str]:
-    """Words of --set, and of --gravity as the last of them.
+def settings_with_gravity(
+    settings: list[str] | None, gravity: GravityVector | None
+) -> list[str]:
+    """Settings of --set, followed by --gravity in the form "gravity=[x, y, z]".
 
     Args:
-        settings: Of an experiment.
-        gravity: None for what the experiment says.
+        settings: Values of --set; None for none.
+        gravity: Value of --gravity; None to keep the gravity of the experiment.
     """
-    said = [] if gravity is None else [f"gravity={[*gravity]}"]
-    return [*(settings or ()), *said]
+    gravity_setting = [] if gravity is None else [f"gravity={[*gravity]}"]
+    return [*(settings or ()), *gravity_setting]
 
 
 RobotModel = Annotated[
@@ -273,7 +301,7 @@ RobotModel = Annotated[
     typer.Option(
         "--model",
         metavar="PATH",
-        parser=own_or_shipped,
+        parser=user_or_shipped_file,
         help="MJCF or URDF file of the robot.",
     ),
 ]
@@ -281,13 +309,13 @@ ExperimentFile = Annotated[
     Path,
     typer.Argument(
         metavar="FILE.toml",
-        parser=own_or_shipped,
+        parser=user_or_shipped_file,
         help="Experiment file, or the name of a shipped one.",
     ),
 ]
 
 
-def note(lines: Iterable[str]) -> None:
-    """Say on standard error what a person should know, a line each."""
+def print_notes(lines: Iterable[str]) -> None:
+    """Print notes on standard error, one per line."""
     for line in lines:
-        typer.echo(printable(f"note: {line}"), err=True)
+        typer.echo(printable_line(f"note: {line}"), err=True)

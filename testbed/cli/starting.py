@@ -1,4 +1,4 @@
-"""Commands for the first hour: new, and doctor, which says what an installation has and lacks."""
+"""Commands for first steps: new, and doctor, which checks the installation."""
 
 from __future__ import annotations
 
@@ -16,25 +16,28 @@ import typer
 from packaging.requirements import Requirement
 
 from testbed.cli.importing import checked_import, write_mapping
-from testbed.cli.options import Fields, Force, Json, check_outputs, command
-from testbed.cli.reading import Reading
-from testbed.core.base.installation import DISTRIBUTION, own_or_shipped
-from testbed.core.base.installation import version as own_version
+from testbed.cli.options import Force, Json, OptionFields, check_outputs, command
+from testbed.cli.reading import ReadingOptions
+from testbed.core.base.installation import (
+    DISTRIBUTION,
+    installed_version,
+    user_or_shipped_file,
+)
 
-NOT_FOR_USERS = "dev"
-"""Extra for those who work on the program itself."""
+DEVELOPMENT_EXTRA = "dev"
+"""Extra of packages for development only."""
 
 
 @dataclass(frozen=True)
-class Check:
-    """One thing that was looked at.
+class InstallationCheck:
+    """Check of one package in the installation.
 
     Attributes:
-        name: Of it.
-        found: What is there.
-        fine: Whether that will do.
-        needed: Whether nothing works without it.
-        remedy: What to do where it is not fine.
+        name: Name of the package.
+        found: Installed version, "not installed", or version with path.
+        fine: True if the installed version satisfies the requirement.
+        needed: True if all commands need the package.
+        remedy: Command that installs the package.
     """
 
     name: str
@@ -45,29 +48,41 @@ class Check:
 
     @property
     def line(self) -> str:
-        """For people."""
+        """Line with "ok", "MISSING" or "-" (optional package), name, version and remedy."""
         mark = "ok" if self.fine else ("MISSING" if self.needed else "-")
         remedy = "" if self.fine else f": {self.remedy}"
         return f"{mark:8s}{self.name:22s}{self.found}{remedy}"
 
 
-def checkup() -> Iterator[Check]:
-    """Version, Python and packages: those that all needs, and those that some commands need."""
-    yield Check("testbed", f"{own_version()}, in {Path(__file__).parent.parent}")
-    yield Check("Python", f"{platform.python_version()}, {sys.executable}")
+def installation_checks() -> Iterator[InstallationCheck]:
+    """Yield the checks of testbed, of Python, and of the packages that testbed requires.
+
+    Packages that only the extra `DEVELOPMENT_EXTRA` requires are left out. Packages of other extras
+    are optional.
+    """
+    yield InstallationCheck(
+        "testbed", f"{installed_version()}, in {Path(__file__).parent.parent}"
+    )
+    yield InstallationCheck("Python", f"{platform.python_version()}, {sys.executable}")
     for each in map(Requirement, requires(DISTRIBUTION) or ()):
         needed = each.marker is None or each.marker.evaluate({"extra": ""})
         if needed or not (
-            each.marker and each.marker.evaluate({"extra": NOT_FOR_USERS})
+            each.marker and each.marker.evaluate({"extra": DEVELOPMENT_EXTRA})
         ):
-            found = _installed(each.name)
-            fine = each.specifier.contains(found, prereleases=True) if found else False
+            installed = _installed_version(each.name)
+            fine = (
+                each.specifier.contains(installed, prereleases=True)
+                if installed
+                else False
+            )
             remedy = f"pip install '{each.name}{each.specifier}'"
-            yield Check(each.name, found or "not installed", fine, needed, remedy)
+            yield InstallationCheck(
+                each.name, installed or "not installed", fine, needed, remedy
+            )
 
 
-def _installed(name: str) -> str:
-    """The version of a package; empty where it is not installed."""
+def _installed_version(name: str) -> str:
+    """Version of an installed package; "" if the package is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -80,7 +95,7 @@ def new(
         Path | None,
         typer.Argument(
             metavar="ROBOT",
-            parser=own_or_shipped,
+            parser=user_or_shipped_file,
             help="MJCF or URDF file.",
             show_default=False,
         ),
@@ -91,7 +106,8 @@ def new(
         typer.Option(help="A logger's file instead: writes a mapping; repeatable."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="File to write; default NAME.toml here.")
+        Path | None,
+        typer.Option(help="File to write; default NAME.toml in this folder."),
     ] = None,
     strict: Annotated[
         bool,
@@ -99,16 +115,18 @@ def new(
             "--strict", help="Refuse impossible bodies instead of repairing them."
         ),
     ] = False,
-    reading: Annotated[Reading, Fields("gravity", "lock", "lock_mimic", "leave_out")],
+    reading: Annotated[
+        ReadingOptions, OptionFields("gravity", "lock", "lock_mimic", "leave_out")
+    ],
     force: Force = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
 
-    Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
-    are physically impossible are repaired ([robot.repair]). A second of it is simulated first.
-    With --recording, a mapping that turns somebody's logs into a recording; if ROBOT is
-    named, what names do not state is solved from the data, and the recording is made. Joints that
-    the log lacks, as of a gripper, are held at rest.
+    Limits and counts are the model file's; missing values are assumed, and marked. Bodies that
+    are physically impossible are repaired ([robot.repair]). One second is simulated as a test.
+    With --recording, write a mapping that converts log files into a recording; with ROBOT, keys
+    that column names do not give are solved from the data, and the recording is written. Joints
+    that the log lacks, such as a gripper's, are locked at rest.
 
     Example: testbed new models/puma562.xml
     """
@@ -116,7 +134,7 @@ def new(
         raise typer.BadParameter(
             "name a robot's model file, or --recording and a logger's file"
         )
-    from testbed.core.base.whole_files import write_whole
+    from testbed.core.base.whole_files import write_atomically
     from testbed.view import output
 
     check_outputs(out, force=force, read=(robot, *(recording or ())))
@@ -127,7 +145,9 @@ def new(
         )
     if recording:
         stem = recording[0].name.partition(".")[0]
-        _recorded(recording, out or Path(f"{stem}.toml"), reading, force=force)
+        _write_mapping_and_recording(
+            recording, out or Path(f"{stem}.toml"), reading, force=force
+        )
         return
     assert robot is not None
     from testbed.lab.experiment.new_experiment import new_experiment
@@ -138,46 +158,62 @@ def new(
             out.parent if out else Path(),
             strict=strict,
             lock=reading.file.lock,
-            say=typer.echo,
+            report_line=typer.echo,
         )
     path = out or Path(f"{tomllib.loads(text)['name']}.toml")
     check_outputs(path, force=force, read=(robot,))
-    write_whole(path, text)
+    write_atomically(path, text)
     typer.echo(f"{path}: testbed run {path}")
 
 
-def _recorded(
-    files: list[Path], mapping: Path, reading: Reading, *, force: bool
+def _write_mapping_and_recording(
+    files: list[Path], mapping: Path, reading: ReadingOptions, *, force: bool
 ) -> None:
-    """Write a mapping for logs, and the recording that it makes of a robot."""
-    from testbed.importing.convert import concatenated
+    """Write a mapping for log files and, if a model is given, the checked recording.
+
+    The recording is not written if keys of the mapping remain empty. Diagnostics and the next
+    command, `testbed identify`, are printed.
+
+    Args:
+        files: Log files.
+        mapping: Mapping file to write. The recording has the same name with the suffix .parquet, or
+            the name NAME_recording.parquet if the former is a log file.
+        reading: Options of the robot's model file; without a model, only the mapping is written.
+        force: True if existing files may be replaced.
+
+    Raises:
+        RecordingError: The data contradict the mapping or the robot.
+    """
+    from testbed.importing.convert import joined_recording
     from testbed.importing.import_report import ImportReport
     from testbed.view import output
 
-    robot, made = reading.model, mapping.with_suffix(".parquet")
-    if any(made.resolve() == each.resolve() for each in files):
-        made = made.with_stem(f"{made.stem}_recording")
-    written = (mapping,) if robot is None else (mapping, made)
-    check_outputs(*written, force=force, read=(robot, *files))
+    robot, recording_path = reading.model, mapping.with_suffix(".parquet")
+    if any(recording_path.resolve() == each.resolve() for each in files):
+        recording_path = recording_path.with_stem(f"{recording_path.stem}_recording")
+    outputs = (mapping,) if robot is None else (mapping, recording_path)
+    check_outputs(*outputs, force=force, read=(robot, *files))
     solution = write_mapping(files, mapping, reading)
     if solution is None or robot is None:
         return
     recordings, cuts, report = checked_import(
         mapping, reading, prepared=solution.prepared
     )
-    concatenated(recordings, cuts).save(made)
-    words = ["identify", made, "--model", robot]
-    # the plate's frame and clock are known to a sigma only
+    joined_recording(recordings, cuts).save(recording_path)
+    command_words = ["identify", recording_path, "--model", robot]
+    # the plate's frame and clock have uncertainties, which identify estimates
     if recordings[0].wrench is not None:
-        words += ["--set", 'identification.nuisances=["pose","skew"]']
-    words += [
+        command_words += ["--set", 'identification.nuisances=["pose","skew"]']
+    command_words += [
         word for each in reading.leave_out or () for word in ("--leave-out", each)
     ]
-    imported = ImportReport.from_dict(recordings[0].metadata.report).diagnostics
-    said = [*cuts, *imported, *report.diagnostics]
+    import_diagnostics = ImportReport.from_dict(
+        recordings[0].metadata.report
+    ).diagnostics
+    diagnostics = [*cuts, *import_diagnostics, *report.diagnostics]
     output.print_result(
-        lines=[f"{made}: testbed {shlex.join(map(str, words))}"],
-        diagnostics=[each for each in said if each not in solution.diagnostics],
+        lines=[f"{recording_path}: testbed {shlex.join(map(str, command_words))}"],
+        diagnostics=[each for each in diagnostics if each not in solution.diagnostics],
     )
 
 
@@ -189,7 +225,7 @@ def doctor(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Say what is installed, what is missing and how to get it.
+    """Print installed and missing packages, and commands to install these.
 
     Example: testbed doctor --compile
     """
@@ -199,11 +235,11 @@ def doctor(
 
         with output.Progress("compiling"):
             warm_up()
-    found = list(checkup())
+    checks = list(installation_checks())
     if as_json:
         from testbed.view import output
 
-        output.print_json({"checks": [vars(each) for each in found]})
+        output.print_json({"checks": [vars(each) for each in checks]})
     else:
-        typer.echo("\n".join(each.line for each in found))
-    raise typer.Exit(0 if all(each.fine or not each.needed for each in found) else 1)
+        typer.echo("\n".join(each.line for each in checks))
+    raise typer.Exit(0 if all(each.fine or not each.needed for each in checks) else 1)

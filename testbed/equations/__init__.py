@@ -1,4 +1,4 @@
-"""Literal equations of motion and of the reaction.
+"""Symbolic equations of motion of a robot, and of its base wrench.
 
 In: a `Tree`.
 Out: text, LaTeX, Python and C.

@@ -1,15 +1,15 @@
-"""Expressions as ROBOTRAN keeps them: sums of terms, terms products of factors.
+"""Symbolic expressions in ROBOTRAN's form: sums of products of factors.
 
 A factor is a parameter, a coordinate or one of its derivatives, a constant of the geometry,
 the cosine or sine of an expression, an auxiliary variable, or an expression in brackets; a
-term carries a number besides. Expressions are values: immutable, shared, always in order;
-equal terms of opposite sign cancel at every operation. Brackets are not multiplied out;
-`polynomial.expand` does that, and knows the identities of trigonometry. `Budget` counts terms.
+term has a numerical coefficient as well. Expressions are immutable values in normal order;
+equal terms of opposite sign cancel at every operation. Brackets are not multiplied out:
+`PolynomialRing.expand` does that, with the identities of trigonometry. `Budget` counts terms.
 
-Order     factors by nature, then by name; terms by their factors; numbers do not count
-Numbers   integers and binary fractions, so that arithmetic on them is exact
-Names     S223 = sin(2 q2 + q3)
-Source    [FRS96] section 3, figure 4
+Order         factors by nature, then by name; terms by their factors, not by coefficient
+Coefficients  integers and binary fractions, so that arithmetic on them is exact
+Names         S223 = sin(2 q2 + q3)
+Source        [FRS96] section 3, figure 4
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from weakref import WeakValueDictionary
 from testbed.core.base.errors import ExpressionError
 
 Number: TypeAlias = int | float
-LARGEST_NUMBER = 1e150
-"""The square of this is still a number."""
-LONGEST_NAME = 200
-"""Characters of a bracket's name; brackets within brackets would double it again and again."""
+MAX_COEFFICIENT = 1e150
+"""Largest magnitude of a coefficient; its square is still finite."""
+MAX_NAME_SIZE = 200
+"""Largest length of a bracket's name; a longer name is cut and completed by its hash."""
 MAX_TERMS = 150_000
-"""Terms that take some ten seconds to write, and that nobody reads."""
-PRODUCT = 0.1
-"""What multiplying two terms counts: most products are added up to fewer terms."""
-Key: TypeAlias = tuple[int, int, str]
+"""Default limit for the number of terms; 150 000 terms take about ten seconds to write."""
+PRODUCT_WEIGHT = 0.1
+"""Weight of a product of two terms in the count of terms: most products are collected."""
+SortKey: TypeAlias = tuple[int, int, str]
 
 
-class Nature(IntEnum):
-    """What a factor is; the order of factors and, through them, of terms."""
+class FactorKind(IntEnum):
+    """Kind of a factor; the numbers give the order of the factors in a term."""
 
     ACCELERATION = 0
     VELOCITY = 1
@@ -52,39 +52,39 @@ class Nature(IntEnum):
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True, weakref_slot=True)
 class Factor:
-    """One factor of a term; equal factors are the same object.
+    """Interned factor of a term: equal factors are the same object.
 
     Attributes:
-        nature: What it is.
-        name: As printed; of a bracket, its content.
-        content: The angle of a cosine or sine, what an auxiliary variable stands for, what
-            is between brackets; else None.
-        rank: Its place among factors of its nature; of a coordinate, the index of its joint.
-        key: Its place in the order.
+        kind: Kind of the factor.
+        name: Printed name; for a bracket, the text of the content.
+        content: Angle of a cosine or sine, definition of an auxiliary variable, or sum in a
+            bracket; None for other factors.
+        rank: Rank among factors of the same kind; joint index of a coordinate.
+        key: Sorting key: kind, rank, name.
     """
 
-    nature: Nature
+    kind: FactorKind
     name: str
     content: Expression | None
     rank: int
-    key: Key
+    key: SortKey
 
     @staticmethod
-    def of(
-        nature: Nature, name: str, content: Expression | None = None, rank: int = 0
+    def interned(
+        nature: FactorKind, name: str, content: Expression | None = None, rank: int = 0
     ) -> Factor:
-        """The factor of these properties, made if there is none yet."""
+        """Factor with the given properties, from the table of existing factors if possible."""
         label = (nature, rank, name, content)
-        found = _FACTORS.get(label)
-        if found is None:
+        factor = _FACTORS.get(label)
+        if factor is None:
             key = (int(nature), rank, name)
-            found = _FACTORS[label] = Factor(nature, name, content, rank, key)
-        return found
+            factor = _FACTORS[label] = Factor(nature, name, content, rank, key)
+        return factor
 
     @property
-    def inside(self) -> Expression | None:
-        """What is between brackets; None for other factors."""
-        return self.content if self.nature is Nature.BRACKET else None
+    def bracket_content(self) -> Expression | None:
+        """Sum in a bracket; None for other factors."""
+        return self.content if self.kind is FactorKind.BRACKET else None
 
     def __repr__(self) -> str:
         return self.name
@@ -101,13 +101,13 @@ Term: TypeAlias = tuple[Factors, Number]
 
 @dataclass(frozen=True, repr=False, slots=True)
 class Expression:
-    """A sum of terms in order; see the module's description.
+    """Immutable sum of terms in normal order.
 
-    Supports +, - and * with expressions and numbers. `==` says whether two expressions
-    are written alike; they are equal if their difference, expanded, has no parts.
+    Supports +, - and * with expressions and numbers. `==` compares the written form; two
+    expressions are mathematically equal if their difference expands to zero.
 
     Attributes:
-        terms: (factors, number), in order, as `collect` makes them; none of the numbers is zero.
+        terms: Pairs of factors and coefficient, sorted as by `collect`, without zeros.
     """
 
     terms: tuple[Term, ...]
@@ -143,77 +143,95 @@ class Expression:
         if other in (0, 1):
             return self if other else 0
         return Expression(
-            tuple((factors, exact(size * other)) for factors, size in self.terms)
+            tuple(
+                (factors, exact_number(coefficient * other))
+                for factors, coefficient in self.terms
+            )
         )
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Number) -> Expression:
-        """By a number; exact if it is a power of two."""
+        """Quotient by a number; exact for a power of two."""
         return Expression(
-            tuple((factors, exact(size / other)) for factors, size in self.terms)
+            tuple(
+                (factors, exact_number(coefficient / other))
+                for factors, coefficient in self.terms
+            )
         )
 
     def sin(self) -> Expression:
-        """Sine, as NumPy asks for it of arrays of expressions."""
+        """Sine of the expression, for `numpy.sin` of an object array."""
         return sine(self)
 
     def cos(self) -> Expression:
-        """Cosine, likewise."""
+        """Cosine of the expression, for `numpy.cos` of an object array."""
         return cosine(self)
 
 
 ZERO = Expression(())
 
 
-def symbol(nature: Nature, name: str, rank: int = 0) -> Expression:
-    """A symbol as an expression.
+def symbol(nature: FactorKind, name: str, rank: int = 0) -> Expression:
+    """Expression that consists of one symbol.
 
     Args:
-        nature: What it is.
-        name: As printed.
-        rank: Its place among symbols of its nature; those of one rank go by name.
+        nature: Kind of the symbol.
+        name: Printed name.
+        rank: Rank among symbols of the same kind; symbols of equal rank are sorted by name.
     """
-    return of(Factor.of(nature, name, None, rank))
+    return factor_expression(Factor.interned(nature, name, None, rank))
 
 
-def of(factor: Factor) -> Expression:
-    """A factor as an expression."""
+def factor_expression(factor: Factor) -> Expression:
+    """Expression that consists of one factor."""
     return Expression((((factor,), 1),))
 
 
-def factor(symbol: Expression) -> Factor:
-    """Factor that an expression consists of; the inverse of `of`."""
+def single_factor(symbol: Expression) -> Factor:
+    """Factor of an expression that consists of one factor; inverse of `factor_expression`."""
     ((factors, _),) = symbol.terms
     return factors[0]
 
 
 def number(value: Number) -> Expression:
-    """A number as an expression."""
-    return Expression((((), exact(value)),)) if value else ZERO
+    """Expression of a constant."""
+    return Expression((((), exact_number(value)),)) if value else ZERO
 
 
 def expression(value: Any) -> Expression:
-    """An expression, or a number as one."""
+    """Value as an expression; a number becomes a constant expression."""
     return value if isinstance(value, Expression) else number(value)
 
 
 def sine(angle: Expression) -> Expression:
-    """Sine of an expression, odd."""
+    """Sine of a sum of multiples of coordinates; a leading minus sign is moved out."""
     if angle.terms[0][1] < 0:
         return -sine(-angle)
-    return of(Factor.of(Nature.SINE, _trig("S", angle), angle))
+    return factor_expression(
+        Factor.interned(FactorKind.SINE, _trigonometric_name("S", angle), angle)
+    )
 
 
 def cosine(angle: Expression) -> Expression:
-    """Cosine of an expression, even."""
+    """Cosine of a sum of multiples of coordinates; a leading minus sign is removed."""
     if angle.terms[0][1] < 0:
         angle = -angle
-    return of(Factor.of(Nature.COSINE, _trig("C", angle), angle))
+    return factor_expression(
+        Factor.interned(FactorKind.COSINE, _trigonometric_name("C", angle), angle)
+    )
 
 
-def _trig(letter: str, angle: Expression) -> str:
-    """S223 of 2*q2 + q3; S_2_m3 of q2 - q3, S_12 of q12."""
+def _trigonometric_name(letter: str, angle: Expression) -> str:
+    """Name of a sine or cosine, such as S223 for sin(2*q2 + q3).
+
+    Underscores separate labels with a minus sign or several digits: S_2_m3 for sin(q2 - q3), S_12
+    for sin(q12).
+
+    Args:
+        letter: S for a sine, C for a cosine.
+        angle: Sum of multiples of coordinates.
+    """
     labels = angle_labels(angle, "m")
     if all(len(label) == 1 for label in labels):
         return letter + "".join(labels)
@@ -221,73 +239,84 @@ def _trig(letter: str, angle: Expression) -> str:
 
 
 def angle_labels(angle: Expression, minus: str) -> list[str]:
-    """Labels of the coordinates that an angle adds up: 2, 2, m3 of 2*q2 - q3.
+    """Labels of the coordinates in a sum of angles: `2, 2, m3` for `2*q2 - q3`.
 
     Args:
-        angle: A sum of coordinates.
-        minus: Before labels of those that are subtracted.
+        angle: Sum of multiples of coordinates.
+        minus: Prefix of the labels of subtracted coordinates.
     """
     labels = []
-    for factors, size in angle.terms:
+    for factors, coefficient in angle.terms:
         label = "".join(factor.name for factor in factors).removeprefix("q")
-        labels += [minus * (size < 0) + label] * int(abs(size))
+        labels += [minus * (coefficient < 0) + label] * int(abs(coefficient))
     return labels
 
 
 def collect(terms: Iterable[Term]) -> Expression:
-    """Terms in order, equal ones added, those that cancel gone."""
+    """Sum of terms in normal order; like terms are added and zero terms dropped."""
     sums: dict[Factors, Number] = {}
     for factors, value in terms:
         sums[factors] = sums.get(factors, 0) + value
-    kept = [(factors, exact(value)) for factors, value in sums.items() if value != 0]
-    kept.sort(key=lambda term: [factor.key for factor in term[0]])
-    return Expression(tuple(kept))
+    collected = [
+        (factors, exact_number(value)) for factors, value in sums.items() if value != 0
+    ]
+    collected.sort(key=lambda term: [factor.key for factor in term[0]])
+    return Expression(tuple(collected))
 
 
 def substitute(
-    value: Expression, meaning: Callable[[Factor], Expression | None]
+    value: Expression, replacement: Callable[[Factor], Expression | None]
 ) -> Expression:
-    """The expression with other expressions in the place of some factors.
+    """Replace factors of an expression with other expressions.
 
     Args:
-        value: Any.
-        meaning: What to put in a factor's place; None leaves it.
+        value: The expression.
+        replacement: Function that returns the replacement of a factor, or None to keep the factor.
     """
     terms: list[Term] = []
-    for factors, size in value.terms:
-        parts = [meaning(factor) for factor in factors]
-        if all(part is None for part in parts):
-            terms.append((factors, size))
+    for factors, coefficient in value.terms:
+        replacements = [replacement(factor) for factor in factors]
+        if all(part is None for part in replacements):
+            terms.append((factors, coefficient))
             continue
-        known = zip(factors, parts, strict=True)
-        product = (of(factor) if part is None else part for factor, part in known)
-        terms += expression(prod(product, start=number(size))).terms
+        pairs = zip(factors, replacements, strict=True)
+        product = (
+            factor_expression(factor) if part is None else part
+            for factor, part in pairs
+        )
+        terms += expression(prod(product, start=number(coefficient))).terms
     return collect(terms)
 
 
-def bracket(inside: Expression) -> tuple[Factor, Number]:
-    """A sum as a factor, and the number taken out of it.
+def bracket(total: Expression) -> tuple[Factor, Number]:
+    """Bracket factor of a sum, and the coefficient taken out of the bracket.
 
-    Sums that differ by their sign, or by a number that all terms share, have one bracket.
+    Sums that differ only by sign, or by a coefficient common to all terms, share one bracket.
     """
-    first = inside.terms[0][1]
-    sizes = {abs(value) for _, value in inside.terms}
-    out = first if len(sizes) == 1 else 1 if first > 0 else -1
-    plain = inside / out
-    name = f"({as_text(plain)})"
-    if len(name) > LONGEST_NAME:
-        name = f"{name[: LONGEST_NAME - 33]}~{blake2s(name.encode(), digest_size=16).hexdigest()}"
-    return Factor.of(Nature.BRACKET, name, plain), out
+    first_coefficient = total.terms[0][1]
+    magnitudes = {abs(value) for _, value in total.terms}
+    common = (
+        first_coefficient
+        if len(magnitudes) == 1
+        else 1
+        if first_coefficient > 0
+        else -1
+    )
+    normalized = total / common
+    name = f"({as_text(normalized)})"
+    if len(name) > MAX_NAME_SIZE:
+        name = f"{name[: MAX_NAME_SIZE - 33]}~{blake2s(name.encode(), digest_size=16).hexdigest()}"
+    return Factor.interned(FactorKind.BRACKET, name, normalized), common
 
 
 def as_text(value: Expression) -> str:
-    """Plain text: a*b - 2*c."""
+    """Plain text of an expression, such as a*b - 2*c."""
     text = ""
-    for factors, size in value.terms:
+    for factors, coefficient in value.terms:
         names = [factor.name for factor in factors]
-        if abs(size) != 1 or not names:
-            names.insert(0, f"{abs(size):.12g}")
-        sign = "-" if size < 0 else "+"
+        if abs(coefficient) != 1 or not names:
+            names.insert(0, f"{abs(coefficient):.12g}")
+        sign = "-" if coefficient < 0 else "+"
         text += (
             f" {sign} {'*'.join(names)}"
             if text
@@ -297,116 +326,121 @@ def as_text(value: Expression) -> str:
 
 
 def _product(a: Expression, b: Expression) -> Any:
+    """Product of two expressions; a sum of several terms becomes a bracket."""
     if not a.terms or not b.terms:
         return 0
-    for one, two in ((a, b), (b, a)):
-        if len(one.terms) == 1 and not one.terms[0][0]:
-            return two * one.terms[0][1]
-    left, size = _single(a)
-    right, other = _single(b)
-    factors = sorted((*left, *right), key=lambda factor: factor.key)
-    return Expression(((tuple(factors), exact(size * other)),))
+    for operand, other_operand in ((a, b), (b, a)):
+        if len(operand.terms) == 1 and not operand.terms[0][0]:
+            return other_operand * operand.terms[0][1]
+    factors_a, coefficient_a = _single_term(a)
+    factors_b, coefficient_b = _single_term(b)
+    factors = sorted((*factors_a, *factors_b), key=lambda factor: factor.key)
+    return Expression(((tuple(factors), exact_number(coefficient_a * coefficient_b)),))
 
 
-def _single(value: Expression) -> Term:
-    """One term: the expression's own, or its bracket."""
+def _single_term(value: Expression) -> Term:
+    """Expression as a single term; a sum of several terms becomes a bracket."""
     if len(value.terms) == 1:
         return value.terms[0]
-    factor, out = bracket(value)
-    return (factor,), out
+    factor, coefficient = bracket(value)
+    return (factor,), coefficient
 
 
-def exact(value: Number) -> Number:
-    """The number, as an integer where it is one.
+def exact_number(value: Number) -> Number:
+    """Number, converted to an integer if it is whole.
 
     Raises:
-        ExpressionError: It is too large for two such numbers to be multiplied, or is none.
+        ExpressionError: The number is NaN, or larger than `MAX_COEFFICIENT` (1e150) in magnitude.
     """
-    if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:
+    if not -MAX_COEFFICIENT <= value <= MAX_COEFFICIENT:
         raise ExpressionError(
-            f"a number beyond {LARGEST_NUMBER:g}, too large to calculate with"
+            f"a number beyond {MAX_COEFFICIENT:g}, too large to calculate with"
         )
     return int(value) if value == int(value) else float(value)
 
 
-def auxiliaries(values: Iterable[Expression]) -> list[Factor]:
-    """The auxiliary variables and brackets that values refer to, each after those it needs."""
+def sorted_dependencies(values: Iterable[Expression]) -> list[Factor]:
+    """Auxiliary variables and brackets of expressions, each after its dependencies."""
 
-    def names(value: Expression) -> list[Factor]:
+    def references(value: Expression) -> list[Factor]:
         return [
             f
             for factors, _ in value.terms
             for f in factors
-            if f.nature >= Nature.AUXILIARY
+            if f.kind >= FactorKind.AUXILIARY
         ]
 
-    first = [factor for value in values for factor in names(value)]
-    return depth_first(first, lambda factor: names(factor.content or ZERO))
+    roots = [factor for value in values for factor in references(value)]
+    return depth_first_order(roots, lambda factor: references(factor.content or ZERO))
 
 
-def depth_first(
-    first: Iterable[Factor], needs: Callable[[Factor], list[Factor]]
+def depth_first_order(
+    roots: Iterable[Factor], dependencies: Callable[[Factor], list[Factor]]
 ) -> list[Factor]:
-    """Factors and all that they need, each after what it needs; as deep as may be.
+    """Factors and dependencies in depth-first order, each after the factors it depends on.
+
+    An explicit stack instead of recursion allows dependencies of any depth.
 
     Args:
-        first: Where to start.
-        needs: What one of them refers to.
+        roots: Factors to start from.
+        dependencies: Function that returns the factors to which a factor refers.
     """
     order: list[Factor] = []
-    seen: set[Factor] = set()
-    todo = [(factor, False) for factor in first][::-1]
-    while todo:
-        factor, ready = todo.pop()
-        if ready:
+    visited: set[Factor] = set()
+    stack = [(factor, False) for factor in roots][::-1]
+    while stack:
+        factor, is_expanded = stack.pop()
+        if is_expanded:
             order.append(factor)
-        elif factor not in seen:
-            seen.add(factor)
-            todo.append((factor, True))
-            todo += [
-                (each, False) for each in reversed(needs(factor)) if each not in seen
+        elif factor not in visited:
+            visited.add(factor)
+            stack.append((factor, True))
+            stack += [
+                (each, False)
+                for each in reversed(dependencies(factor))
+                if each not in visited
             ]
     return order
 
 
 class Budget:
-    """Counts terms while equations are written or read.
+    """Counter of terms, with a limit, for the derivation and reading of equations.
 
     Attributes:
-        terms: How many there may be.
-        spent: How many there were so far.
+        terms: Largest number of terms.
+        spent: Number of terms so far; a product of two terms counts as `PRODUCT_WEIGHT` (0.1).
     """
 
-    def __init__(self, terms: int = MAX_TERMS, shorter: str = "") -> None:
-        """Nothing spent yet.
+    def __init__(self, terms: int = MAX_TERMS, advice: str = "") -> None:
+        """Create a counter at zero.
 
         Args:
-            terms: How many there may be.
-            shorter: What to ask for instead, if anything.
+            terms: Largest number of terms.
+            advice: Beginning of the advice in the error message, such as a shorter form.
         """
         self.terms = terms
         self.spent = 0.0
-        self._shorter = shorter
+        self._advice = advice
 
     def write(self, terms: int) -> None:
-        """Count terms that are written down.
+        """Add terms of an expression to the count.
 
         Raises:
-            ExpressionError: There are too many.
+            ExpressionError: The limit is exceeded.
         """
         self.spent += terms
         if self.spent > self.terms:
             raise ExpressionError(
                 f"this takes more than {self.terms} terms, those on the way included: "
-                f"{self._shorter}--max-terms N (max_terms=N) allows more, at the price of time "
+                f"{self._advice}--max-terms N (max_terms=N) allows more, at the price of time "
                 "and memory"
             )
 
     def multiply(self, products: int) -> None:
-        """Count products of terms, before they are made.
+        """Add products of terms to the count, before the multiplication.
 
         Raises:
-            ExpressionError: There are too many.
+            ExpressionError: The limit is exceeded.
         """
-        self.spent += PRODUCT * products
+        self.spent += PRODUCT_WEIGHT * products
         self.write(0)

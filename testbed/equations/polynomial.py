@@ -1,11 +1,11 @@
-"""Expressions multiplied out: the normal form, in which equal ones are alike.
+"""Expanded normal form of expressions: equal expressions have the same normal form.
 
-A monomial is one integer, six bits an exponent, so that monomials are multiplied by adding
-integers. Beside it goes a wave, a product of cosines and sines. Angles fall into groups, such
-as the joints whose axes are parallel. Of each group a wave has at most one cosine or sine, of
-a sum of angles with numbers: products within a group become sums,
-2 cos a cos b = cos(a - b) + cos(a + b). Waves that differ are linearly independent. Sums across
-groups are expanded. Numbers are integers and binary fractions.
+A polynomial is a sum of monomials times products of cosines and sines. A monomial is one
+integer, six bits per exponent, so that monomials are multiplied by adding integers. Angles fall
+into groups, such as the joints whose axes are parallel. A product has at most one cosine or sine
+per group, of an integer combination of the group's angles: products within a group become sums,
+2 cos a cos b = cos(a - b) + cos(a + b). Different products are linearly independent. Sines and
+cosines of sums across groups are expanded. Coefficients are integers and binary fractions.
 """
 
 from __future__ import annotations
@@ -21,85 +21,105 @@ from testbed.equations.expression import (
     Budget,
     Expression,
     Factor,
-    Nature,
+    FactorKind,
     Number,
-    auxiliaries,
-    exact,
+    exact_number,
     expression,
+    sorted_dependencies,
 )
 
-Index: TypeAlias = tuple[tuple[int, Number], ...]  # (angle, how many times), in order
-# group, 0 for a cosine or 1 for a sine, its angle
-Tone: TypeAlias = tuple[int, int, Index]
-Wave: TypeAlias = tuple[Tone, ...]  # at most one tone a group, in order
-Mixture: TypeAlias = tuple[tuple[Wave, float], ...]  # waves with their weights
+AngleSum: TypeAlias = tuple[tuple[int, Number], ...]  # (angle number, multiple), sorted
+# group, COSINE or SINE, angle
+TrigFactor: TypeAlias = tuple[int, int, AngleSum]
+TrigProduct: TypeAlias = tuple[TrigFactor, ...]  # at most one factor per group, sorted
+TrigSum: TypeAlias = tuple[
+    tuple[TrigProduct, float], ...
+]  # products with their weights
 
 COSINE, SINE = 0, 1
-BITS = 6
-LARGEST = (1 << BITS) - 1
-"""Largest degree of a polynomial: no exponent can run over into the next."""
+EXPONENT_BITS = 6
+MAX_DEGREE = (1 << EXPONENT_BITS) - 1
+"""Largest degree of a polynomial: exponents do not overflow their bits."""
 
 
-def _in_group(group: int, one: Tone, two: Tone) -> list[tuple[Wave, float]]:
-    """The product of two tones of one group as a sum of two."""
-    kind = SINE if one[1] != two[1] else COSINE
+def _product_in_group(
+    group: int, a: TrigFactor, b: TrigFactor
+) -> list[tuple[TrigProduct, float]]:
+    """Product of two sines or cosines of one group of angles, as a sum."""
+    kind = SINE if a[1] != b[1] else COSINE
     parts = (
-        (combine(one[2], two[2], -1), -0.5 if one[1] < two[1] else 0.5),
-        (combine(one[2], two[2], 1), -0.5 if one[1] and two[1] else 0.5),
+        (combine(a[2], b[2], -1), -0.5 if a[1] < b[1] else 0.5),
+        (combine(a[2], b[2], 1), -0.5 if a[1] and b[1] else 0.5),
     )
     options = []
     for index, weight in parts:
-        sign, wave = _normal(group, kind, index)
-        options.append((wave, sign * weight))
+        sign, trig_product = _normalized(group, kind, index)
+        options.append((trig_product, sign * weight))
     return options
 
 
-def combine(a: Index, b: Index, sign: int) -> Index:
-    """The sum or difference of two angles."""
+def combine(a: AngleSum, b: AngleSum, sign: int) -> AngleSum:
+    """Sum or difference of two angles, each an integer combination of angle numbers.
+
+    Args:
+        a: First angle.
+        b: Second angle.
+        sign: 1 for the sum a + b, -1 for the difference a - b.
+    """
     total = dict(a)
-    for atom, times in b:
-        total[atom] = total.get(atom, 0) + sign * times
-    return tuple(sorted((atom, times) for atom, times in total.items() if times))
+    for angle_number, multiple in b:
+        total[angle_number] = total.get(angle_number, 0) + sign * multiple
+    return tuple(
+        sorted(
+            (angle_number, multiple)
+            for angle_number, multiple in total.items()
+            if multiple
+        )
+    )
 
 
-def _normal(group: int, kind: int, index: Index) -> tuple[float, Wave]:
-    """Sign and wave of a tone: the first angle counts positively; cos 0 = 1, sin 0 = 0."""
+def _normalized(group: int, kind: int, index: AngleSum) -> tuple[float, TrigProduct]:
+    """Sign and normal form of a sine or cosine.
+
+    In normal form the first multiple in the angle is positive; cos 0 is 1 and sin 0 is 0.
+    """
     if not index:
         return (0.0 if kind == SINE else 1.0), ()
-    sign, index = positive(index)
+    sign, index = split_sign(index)
     return (sign if kind == SINE else 1.0), ((group, kind, index),)
 
 
-def positive(index: Index) -> tuple[int, Index]:
-    """The sign of an angle's first part, and the angle in which that is positive."""
+def split_sign(index: AngleSum) -> tuple[int, AngleSum]:
+    """Sign of an angle's first multiple, and the angle times this sign."""
     if index and index[0][1] < 0:
-        return -1, tuple((atom, -times) for atom, times in index)
+        return -1, tuple((angle_number, -multiple) for angle_number, multiple in index)
     return 1, index
 
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A sum of monomials times waves.
+    """Sum of monomials times products of sines and cosines.
 
     Attributes:
-        parts: wave -> monomial -> number.
-        degree: Bound on the degree.
+        parts: Coefficients keyed by trigonometric product, then by monomial; a monomial is an
+            integer with six bits per exponent.
+        degree: Upper bound of the degree of the monomials.
     """
 
-    parts: dict[Wave, dict[int, Number]]
+    parts: dict[TrigProduct, dict[int, Number]]
     degree: int
 
     @property
     def size(self) -> int:
-        """Number of terms."""
+        """Number of terms of the polynomial."""
         return sum(len(part) for part in self.parts.values())
 
 
-class Ring:
-    """Where expressions are multiplied out: numbers symbols, remembers what it has expanded.
+class PolynomialRing:
+    """Expansion of expressions into polynomials, with a table of symbols and caches.
 
     Attributes:
-        symbols: By number.
+        symbols: Symbols, ordered by index in a monomial.
     """
 
     def __init__(
@@ -108,180 +128,230 @@ class Ring:
         rounding: float = 0.0,
         budget: Budget | None = None,
     ) -> None:
-        """An empty ring.
+        """Create a ring whose only symbols are the grouped angles.
 
         Args:
-            groups: Angles (coordinates, constants) that appear in sums, group by group.
-            rounding: Numbers smaller than this are the rounding of zero.
-            budget: Counts what is multiplied.
+            groups: Groups of angles (coordinates, constants) that are added to each other.
+            rounding: Coefficients up to this magnitude are set to zero.
+            budget: Counter of terms and products.
         """
         self._rounding = rounding
         self._budget = budget or Budget()
         self.symbols: list[Factor] = []
-        self._place: dict[Factor, int] = {}
-        self._known: dict[Factor, Polynomial] = {}
-        self._products: dict[tuple[Wave, Wave], Mixture] = {}
-        self._group = {
+        self._indices: dict[Factor, int] = {}
+        self._expansions: dict[Factor, Polynomial] = {}
+        self._product_cache: dict[tuple[TrigProduct, TrigProduct], TrigSum] = {}
+        self._groups = {
             self._monomial(angle): number
             for number, group in enumerate(groups)
             for angle in group
         }
 
     def expand(self, value: Expression | Number) -> Polynomial:
-        """An expression multiplied out.
+        """Expand an expression into a polynomial.
 
         Args:
-            value: Auxiliary variables and brackets are looked through.
+            value: The expression; its auxiliary variables and brackets are expanded, too.
 
         Raises:
-            ExpressionError: Its degree may exceed 63, there are too many terms, or numbers
-                that are no longer finite.
+            ExpressionError: The degree may exceed 63, there are too many terms, or a
+                coefficient is too large.
         """
-        # the deepest first: no deep recursion
-        for factor in auxiliaries([expression(value)]):
+        # innermost factors first, to avoid deep recursion
+        for factor in sorted_dependencies([expression(value)]):
             if factor.content is not None:
                 self._factor(factor)
-        total: dict[Wave, dict[int, Number]] = {}
+        total: dict[TrigProduct, dict[int, Number]] = {}
         degree = 0
-        for factors, size in expression(value).terms:
+        for factors, coefficient in expression(value).terms:
             symbols = [
                 self._monomial(factor) for factor in factors if factor.content is None
             ]
-            product = Polynomial({(): {sum(symbols): size}}, len(symbols))
+            product = Polynomial({(): {sum(symbols): coefficient}}, len(symbols))
             for factor in factors:
                 if factor.content is not None:
                     product = self.multiply(product, self._factor(factor))
             degree = max(degree, product.degree)
-            for wave, part in product.parts.items():
-                into = total.setdefault(wave, {})
+            for trig_product, part in product.parts.items():
+                coefficients = total.setdefault(trig_product, {})
                 for monomial, each in part.items():
-                    into[monomial] = into.get(monomial, 0) + each
-        return self._clean(total, degree)
+                    coefficients[monomial] = coefficients.get(monomial, 0) + each
+        return self._checked_polynomial(total, degree)
 
     def multiply(self, a: Polynomial, b: Polynomial) -> Polynomial:
-        """The product of two polynomials of this ring."""
-        total: dict[Wave, dict[int, Number]] = {}
-        for wave_a, part_a in a.parts.items():
-            for wave_b, part_b in b.parts.items():
-                mixture = self._product(wave_a, wave_b)
-                self._budget.multiply(len(part_a) * len(part_b) * len(mixture))
-                for wave, weight in mixture:
-                    into = total.setdefault(wave, {})
+        """Product of two polynomials of this ring."""
+        total: dict[TrigProduct, dict[int, Number]] = {}
+        for product_a, part_a in a.parts.items():
+            for product_b, part_b in b.parts.items():
+                trig_sum = self._multiply_products(product_a, product_b)
+                self._budget.multiply(len(part_a) * len(part_b) * len(trig_sum))
+                for trig_product, weight in trig_sum:
+                    coefficients = total.setdefault(trig_product, {})
                     for m, u in part_a.items():
                         w = u * weight
                         for n, v in part_b.items():
                             key = m + n
-                            into[key] = into.get(key, 0) + w * v
-        return self._clean(total, a.degree + b.degree)
+                            coefficients[key] = coefficients.get(key, 0) + w * v
+        return self._checked_polynomial(total, a.degree + b.degree)
 
     def exponents(self, monomial: int) -> list[tuple[Factor, int]]:
-        """The symbols of a monomial and their exponents."""
-        found = []
+        """Symbols of a monomial with their exponents."""
+        powers = []
         while monomial:
-            place = (
+            position = (
                 (monomial & -monomial).bit_length() - 1
-            ) // BITS  # of the lowest one there
-            power = monomial >> (place * BITS) & LARGEST
-            found.append((self.symbols[place], power))
-            monomial ^= power << (place * BITS)
-        return found
+            ) // EXPONENT_BITS  # of the lowest exponent that is not zero
+            power = monomial >> (position * EXPONENT_BITS) & MAX_DEGREE
+            powers.append((self.symbols[position], power))
+            monomial ^= power << (position * EXPONENT_BITS)
+        return powers
 
     def angle(self, number: int) -> Factor:
-        """The symbol that an angle's number in a wave stands for."""
+        """Symbol of an angle with a given number in a sine or cosine."""
         return self.exponents(number)[0][0]
 
-    def _clean(self, parts: dict[Wave, dict[int, Number]], degree: int) -> Polynomial:
-        """Without zeros, and with numbers that a further product leaves finite."""
-        if degree > LARGEST:
+    def _checked_polynomial(
+        self, parts: dict[TrigProduct, dict[int, Number]], degree: int
+    ) -> Polynomial:
+        """Polynomial without negligible coefficients, after a check of degree and magnitude.
+
+        Coefficients up to `rounding` in magnitude are negligible.
+
+        Raises:
+            ExpressionError: The degree exceeds 63, or the magnitude of a coefficient exceeds 1e150.
+        """
+        if degree > MAX_DEGREE:
             raise ExpressionError(
-                f"an expression of degree {degree}; at most {LARGEST}"
+                f"an expression of degree {degree}; at most {MAX_DEGREE}"
             )
-        least = self._rounding
+        tolerance = self._rounding
         for part in parts.values():
-            for key in [key for key, size in part.items() if -least <= size <= least]:
+            for key in [
+                key
+                for key, coefficient in part.items()
+                if -tolerance <= coefficient <= tolerance
+            ]:
                 del part[key]
-            exact(max(part.values(), default=0))
-            exact(min(part.values(), default=0))
-        return Polynomial({wave: part for wave, part in parts.items() if part}, degree)
-
-    def _monomial(self, factor: Factor) -> int:
-        place = self._place.get(factor)
-        if place is None:
-            place = self._place[factor] = len(self.symbols)
-            self.symbols.append(factor)
-        return 1 << (BITS * place)
-
-    def _factor(self, factor: Factor) -> Polynomial:
-        known = self._known.get(factor)
-        if known is None:
-            assert factor.content is not None
-            if factor.nature in (Nature.COSINE, Nature.SINE):
-                known = self._trigonometric(factor.nature, factor.content)
-            else:
-                known = self.expand(factor.content)
-            self._known[factor] = known
-        return known
-
-    def _trigonometric(self, nature: Nature, content: Expression) -> Polynomial:
-        """Cosine or sine of a sum of angles: the real or imaginary part of exp(i angle)."""
-        total: dict[Wave, complex] = {(): 1.0}
-        for group, index in sorted(self._angles(content).items()):
-            sign, sine = _normal(group, SINE, index)
-            _, cosine = _normal(group, COSINE, index)
-            total = self._times(total, {cosine: 1.0, sine: 1j * sign})
-        sines = nature is Nature.SINE
-        weights = {wave: (w.imag if sines else w.real) for wave, w in total.items()}
+            exact_number(max(part.values(), default=0))
+            exact_number(min(part.values(), default=0))
         return Polynomial(
-            {wave: {0: weight} for wave, weight in weights.items() if weight}, 0
+            {trig_product: part for trig_product, part in parts.items() if part}, degree
         )
 
-    def _times(
-        self, a: dict[Wave, complex], b: dict[Wave, complex]
-    ) -> dict[Wave, complex]:
-        """Two sums of waves multiplied."""
-        products: dict[Wave, complex] = {}
+    def _monomial(self, factor: Factor) -> int:
+        """Monomial of a single symbol, which is added to the table if it is new."""
+        index = self._indices.get(factor)
+        if index is None:
+            index = self._indices[factor] = len(self.symbols)
+            self.symbols.append(factor)
+        return 1 << (EXPONENT_BITS * index)
+
+    def _factor(self, factor: Factor) -> Polynomial:
+        """Expansion of a sine, cosine, bracket or auxiliary variable, cached."""
+        expansion = self._expansions.get(factor)
+        if expansion is None:
+            assert factor.content is not None
+            if factor.kind in (FactorKind.COSINE, FactorKind.SINE):
+                expansion = self._trigonometric(factor.kind, factor.content)
+            else:
+                expansion = self.expand(factor.content)
+            self._expansions[factor] = expansion
+        return expansion
+
+    def _trigonometric(self, nature: FactorKind, content: Expression) -> Polynomial:
+        """Cosine or sine of a sum of angles, by expansion of exp(i angle)."""
+        total: dict[TrigProduct, complex] = {(): 1.0}
+        for group, index in sorted(self._angles(content).items()):
+            sign, sine = _normalized(group, SINE, index)
+            _, cosine = _normalized(group, COSINE, index)
+            total = self._multiply_sums(total, {cosine: 1.0, sine: 1j * sign})
+        sines = nature is FactorKind.SINE
+        weights = {
+            trig_product: (w.imag if sines else w.real)
+            for trig_product, w in total.items()
+        }
+        return Polynomial(
+            {
+                trig_product: {0: weight}
+                for trig_product, weight in weights.items()
+                if weight
+            },
+            0,
+        )
+
+    def _multiply_sums(
+        self, a: dict[TrigProduct, complex], b: dict[TrigProduct, complex]
+    ) -> dict[TrigProduct, complex]:
+        """Product of two sums of trigonometric products with complex weights."""
+        products: dict[TrigProduct, complex] = {}
         for (x, u), (y, v) in choices(a.items(), b.items()):
-            for wave, weight in self._product(x, y):
-                products[wave] = products.get(wave, 0.0) + u * v * weight
+            for trig_product, weight in self._multiply_products(x, y):
+                products[trig_product] = (
+                    products.get(trig_product, 0.0) + u * v * weight
+                )
         return products
 
-    def _angles(self, content: Expression) -> dict[int, Index]:
-        """A sum of angles by group."""
+    def _angles(self, content: Expression) -> dict[int, AngleSum]:
+        """Angle numbers and multiples of a sum of angles, keyed by group of angles.
+
+        An angle outside of the groups forms a separate group with a negative number.
+        """
         parts: dict[int, list[tuple[int, Number]]] = {}
-        for wave, part in self.expand(content).parts.items():
+        for trig_product, part in self.expand(content).parts.items():
             for monomial, number in part.items():
-                atom = self._atom(wave, monomial)
-                parts.setdefault(self._group.get(atom, -1 - atom), []).append(
-                    (atom, number)
-                )
+                angle_number = self._angle_number(trig_product, monomial)
+                parts.setdefault(
+                    self._groups.get(angle_number, -1 - angle_number), []
+                ).append((angle_number, number))
         return {group: tuple(sorted(angle)) for group, angle in parts.items()}
 
-    def _atom(self, wave: Wave, monomial: int) -> int:
-        """The number of an angle: the monomial, or a symbol made for what has waves in it."""
-        if not wave:
-            return monomial
-        return self._monomial(Factor.of(Nature.CONSTANT, f"angle {wave} {monomial}"))
+    def _angle_number(self, trig_product: TrigProduct, monomial: int) -> int:
+        """Number of an angle: the monomial of the angle or of a new symbol.
 
-    def _product(self, a: Wave, b: Wave) -> Mixture:
-        """Two waves multiplied."""
+        A new symbol represents a term with sines or cosines.
+        """
+        if not trig_product:
+            return monomial
+        return self._monomial(
+            Factor.interned(FactorKind.CONSTANT, f"angle {trig_product} {monomial}")
+        )
+
+    def _multiply_products(self, a: TrigProduct, b: TrigProduct) -> TrigSum:
+        """Product of two trigonometric products as a weighted sum, cached."""
         if not a or not b:
             return ((a or b, 1.0),)
-        found = self._products.get((a, b))
-        if found is None:
-            found = self._products[a, b] = self._multiplied(a, b)
-        return found
+        result = self._product_cache.get((a, b))
+        if result is None:
+            result = self._product_cache[a, b] = self._expanded_product(a, b)
+        return result
 
-    def _multiplied(self, a: Wave, b: Wave) -> Mixture:
-        left, right = {tone[0]: tone for tone in a}, {tone[0]: tone for tone in b}
-        options: list[list[tuple[Wave, float]]] = []
+    def _expanded_product(self, a: TrigProduct, b: TrigProduct) -> TrigSum:
+        """Product of two trigonometric products, multiplied out group by group."""
+        left, right = (
+            {trig_factor[0]: trig_factor for trig_factor in a},
+            {trig_factor[0]: trig_factor for trig_factor in b},
+        )
+        options: list[list[tuple[TrigProduct, float]]] = []
         for group in sorted({*left, *right}):
-            tones = [each[group] for each in (left, right) if group in each]
+            trig_factors = [each[group] for each in (left, right) if group in each]
             options.append(
-                _in_group(group, *tones) if len(tones) > 1 else [(tuple(tones), 1.0)]
+                _product_in_group(group, *trig_factors)
+                if len(trig_factors) > 1
+                else [(tuple(trig_factors), 1.0)]
             )
         self._budget.multiply(prod(len(each) for each in options))
-        mixture: dict[Wave, float] = {}
+        trig_sum: dict[TrigProduct, float] = {}
         for choice in choices(*options):
-            wave = tuple(tone for tones, _ in choice for tone in tones)
-            mixture[wave] = mixture.get(wave, 0.0) + prod(share for _, share in choice)
-        return tuple((wave, weight) for wave, weight in mixture.items() if weight)
+            trig_product = tuple(
+                trig_factor
+                for trig_factors, _ in choice
+                for trig_factor in trig_factors
+            )
+            trig_sum[trig_product] = trig_sum.get(trig_product, 0.0) + prod(
+                share for _, share in choice
+            )
+        return tuple(
+            (trig_product, weight)
+            for trig_product, weight in trig_sum.items()
+            if weight
+        )

@@ -1,9 +1,9 @@
-"""A robot on paper: its geometry, coordinates and parameters as symbols.
+"""Symbolic robot: geometry, joint coordinates and parameters as symbols.
 
-Lengths that are not zero are symbols. Constant rotations and axes are numbers: whole ones
-where they are made of quarter turns, as on most robots. A model file that gives quarter turns
-with few digits (1.5708 for half of pi) would fill the equations with terms of a millionth;
-`right_angles` takes such turns for what they are meant to be.
+Lengths that are not zero are symbols. Constant rotations and axes are numbers: integers if they
+consist of quarter turns, as on most robots. Quarter turns with few digits in a model file (1.5708
+for pi / 2) would give many terms with coefficients of about a millionth; `with_right_angles` rounds
+these rotations.
 
 Names     q2 qp2 qpp2; l23z offset; g; m2 mass; l22y centre of mass in the body's frame; J2yz
           central inertia; parameters in docs/conventions.md
@@ -21,66 +21,95 @@ import numpy as np
 
 from testbed.core.base.arrays import AnyArray, Array
 from testbed.core.parameters.regroup import length_symbol
-from testbed.core.parameters.symbols import UPPER, Label, component_symbol, point_mass
+from testbed.core.parameters.symbols import (
+    UPPER_TRIANGLE,
+    Label,
+    component_symbol,
+    point_mass_parameters,
+)
 from testbed.core.robot.tree import Tree
 from testbed.equations.expression import (
     ZERO,
     Budget,
     Expression,
     Factor,
-    Nature,
+    FactorKind,
     expression,
-    factor,
-    of,
+    factor_expression,
+    single_factor,
     symbol,
 )
-from testbed.equations.polynomial import Ring
+from testbed.equations.polynomial import PolynomialRing
 from testbed.equations.simplify import simplify
 
-MEANT = 1e-4
-"""A turn this close to quarter turns [rad] is meant to be one."""
-EXACT = 1e-14
-"""Below this it is one, but for rounding."""
-TINY = 1e-12
-"""Of a length [m], or as part of the largest inertia: zero in the file but for rounding."""
+RIGHT_ANGLE_TOLERANCE = 1e-4
+"""Deviation from a right angle below which a rotation is rounded to it [rad]."""
+ROUNDING_TOLERANCE = 1e-14
+"""Deviation from a whole number below which it is a rounding error."""
+ZERO_TOLERANCE = 1e-12
+"""Length [m], or inertia relative to the body's largest, below which it is zero."""
 
 
-def right_angles(tree: Tree) -> Tree:
-    """The tree with rotations and axes made of quarter turns where they almost are."""
+def with_right_angles(tree: Tree) -> Tree:
+    """Tree in which almost right angles between joint frames are rounded to right angles.
+
+    A joint's rotation or axis is rounded if all its entries are within 1e-4 of whole numbers.
+    """
     joints = tuple(
-        replace(joint, rotation=_squared(joint.rotation), axis=_squared(joint.axis))
+        replace(
+            joint,
+            rotation=_rounded_turns(joint.rotation),
+            axis=_rounded_turns(joint.axis),
+        )
         for joint in tree.joints
     )
     return replace(tree, joints=joints)
 
 
-def almost_right(tree: Tree) -> dict[str, float]:
-    """Joints with a rotation or axis that `right_angles` would change, and by how much [rad]."""
+def near_right_angles(tree: Tree) -> dict[str, float]:
+    """Deviations from right angles [rad], keyed by joint.
+
+    Only joints that `with_right_angles` changes are included.
+    """
     changes = {
-        joint.name: max(_change(joint.rotation), _change(joint.axis))
+        joint.name: max(
+            _largest_rounding(joint.rotation), _largest_rounding(joint.axis)
+        )
         for joint in tree.joints
     }
-    return {name: change for name, change in changes.items() if change > EXACT}
+    return {
+        name: change for name, change in changes.items() if change > ROUNDING_TOLERANCE
+    }
 
 
-def _change(values: Array) -> float:
-    """Largest change by `_squared`."""
-    return float(np.abs(_squared(values) - values).max())
+def _largest_rounding(values: Array) -> float:
+    """Largest change of an entry that `_rounded_turns` makes."""
+    return float(np.abs(_rounded_turns(values) - values).max())
 
 
-def _squared(values: Array) -> Array:
-    """Whole numbers, if all of them almost are."""
-    whole = np.round(values)
-    return whole if np.abs(values - whole).max() < MEANT else values
+def _rounded_turns(values: Array) -> Array:
+    """Array rounded to whole numbers if all its entries are almost whole; else unchanged."""
+    rounded = np.round(values)
+    return rounded if np.abs(values - rounded).max() < RIGHT_ANGLE_TOLERANCE else values
 
 
-Group: TypeAlias = tuple[list[Factor], list[Expression]]
-Followers: TypeAlias = tuple[tuple[int, int], ...]
+ParallelGroup: TypeAlias = tuple[list[Factor], list[Expression]]
+ParallelChildren: TypeAlias = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class PaperJoint:
-    """A joint whose axis, offset and rotation are arrays of numbers and expressions."""
+class SymbolicJoint:
+    """Joint with axis, offset and rotation as arrays of numbers and expressions.
+
+    Attributes:
+        parent: Index of the carrying body; -1 for the bedplate.
+        revolute: True for a revolute, False for a prismatic joint.
+        axis: Unit vector of the joint axis in the moved body's frame, as numbers, (3,).
+        offset: Offset from the carrying body's origin, in the carrying body's frame, as symbols or
+            zero, (3,).
+        rotation: Rotation matrix from the moved body's frame at q = 0 to the carrying body's frame,
+            (3, 3).
+    """
 
     parent: int
     revolute: bool
@@ -91,101 +120,116 @@ class PaperJoint:
 
 @dataclass(frozen=True, eq=False)
 class SymbolicRobot:
-    """The geometry and coordinates of a tree, as symbols.
+    """Geometry and joint coordinates of a tree, as symbols.
 
     Attributes:
         n: Number of joints.
-        joints: As in a tree.
-        q: Joint positions, (n,); likewise velocities qd and accelerations qdd.
-        gravity: (3,), bedplate frame.
-        values: What the constants' symbols stand for [m, m/s^2].
-        parallel: Groups of joints with parallel axes: their coordinates, and the angles
-            between bodies that these can turn against each other.
-        continued: For each revolute joint, the revolute joints that the body carries whose
-            axes are parallel to its own, with 1 or -1 for their sense.
+        joints: Joints in tree order.
+        q: Joint positions, (n,).
+        qd: Joint velocities, (n,).
+        qdd: Joint accelerations, (n,).
+        gravity: Gravity in the bedplate frame, (3,).
+        values: Values of the constants' symbols [m, m/s^2].
+        parallel_groups: Groups of joints with parallel axes: the coordinates of the joints, and the
+            angles between pairs of the joints' bodies.
+        parallel_children: For each revolute joint, the revolute child joints with a parallel axis:
+            joint index, and 1 or -1 for the same or opposite direction.
     """
 
     n: int
-    joints: tuple[PaperJoint, ...]
+    joints: tuple[SymbolicJoint, ...]
     q: AnyArray
     qd: AnyArray
     qdd: AnyArray
     gravity: AnyArray
     values: dict[Factor, float]
-    parallel: tuple[Group, ...]
-    continued: tuple[Followers, ...]
+    parallel_groups: tuple[ParallelGroup, ...]
+    parallel_children: tuple[ParallelChildren, ...]
 
 
-def draw(tree: Tree, gravity: Array) -> SymbolicRobot:
-    """The robot on paper.
+def symbolic_robot(tree: Tree, gravity: Array) -> SymbolicRobot:
+    """Symbolic robot of a tree.
 
     Args:
-        tree: Gives the geometry.
-        gravity: (3,) [m/s^2], bedplate frame.
+        tree: The robot.
+        gravity: Gravity in the bedplate frame, (3,) [m/s^2].
     """
     values: dict[Factor, float] = {}
 
     def constant(name: str, value: float) -> Expression:
-        made = symbol(Nature.CONSTANT, name)
-        values[factor(made)] = float(value)
-        return made
+        constant_symbol = symbol(FactorKind.CONSTANT, name)
+        values[single_factor(constant_symbol)] = float(value)
+        return constant_symbol
 
     joints = []
     for j, joint in enumerate(tree.joints):
         offset = np.zeros(3, dtype=object)
-        for k in np.flatnonzero(np.abs(joint.offset) > EXACT):
+        for k in np.flatnonzero(np.abs(joint.offset) > ROUNDING_TOLERANCE):
             name = length_symbol(joint.parent, j, "xyz"[k]).text
             offset[k] = constant(name, joint.offset[k])
-        axes = _exact(joint.axis), offset, _exact(joint.rotation)
-        joints.append(PaperJoint(joint.parent, joint.revolute, *axes))
+        geometry = _with_integers(joint.axis), offset, _with_integers(joint.rotation)
+        joints.append(SymbolicJoint(joint.parent, joint.revolute, *geometry))
     q, qd, qdd = (
-        _objects([symbol(nature, f"{letter}{j + 1}", j) for j in range(tree.n)])
+        _object_array([symbol(nature, f"{letter}{j + 1}", j) for j in range(tree.n)])
         for nature, letter in (
-            (Nature.POSITION, "q"),
-            (Nature.VELOCITY, "qp"),
-            (Nature.ACCELERATION, "qpp"),
+            (FactorKind.POSITION, "q"),
+            (FactorKind.VELOCITY, "qp"),
+            (FactorKind.ACCELERATION, "qpp"),
         )
     )
-    weight = _gravity(gravity, constant)
+    gravity_vector = _symbolic_gravity(gravity, constant)
     return SymbolicRobot(
-        tree.n, tuple(joints), q, qd, qdd, weight, values, *_parallel(tree, q)
+        tree.n,
+        tuple(joints),
+        q,
+        qd,
+        qdd,
+        gravity_vector,
+        values,
+        *_parallel_joints(tree, q),
     )
 
 
-def _parallel(
+def _parallel_joints(
     tree: Tree, q: AnyArray
-) -> tuple[tuple[Group, ...], tuple[Followers, ...]]:
-    """Groups of parallel axes, and where they follow each other directly; see `SymbolicRobot`."""
-    groups: list[Group] = []
+) -> tuple[tuple[ParallelGroup, ...], tuple[ParallelChildren, ...]]:
+    """Groups of parallel joints, and parallel child joints; see `SymbolicRobot`."""
+    groups: list[ParallelGroup] = []
     followers: list[list[tuple[int, int]]] = [[] for _ in tree.joints]
-    bodies: dict[int, tuple[Group, int, list[Expression]]] = {}  # group, sense, angles
+    bodies: dict[
+        int, tuple[ParallelGroup, int, list[Expression]]
+    ] = {}  # group, sense, angles
     for j, joint in enumerate(tree.joints):
         if not joint.revolute:
             continue
         i, axis = joint.parent, joint.carried_axis
-        while i >= 0 and not tree.joints[i].revolute:  # a sliding joint turns nothing
+        while (
+            i >= 0 and not tree.joints[i].revolute
+        ):  # a prismatic joint does not rotate
             i, axis = tree.parents[i], tree.joints[i].rotation @ axis
         cosine = float(axis @ tree.joints[i].axis) if i >= 0 else 0.0
         sign = 1 if cosine >= 0 else -1
         group, sense, angles = (
-            bodies[i] if abs(cosine) > 1.0 - EXACT else (([], []), 1, [ZERO])
+            bodies[i]
+            if abs(cosine) > 1.0 - ROUNDING_TOLERANCE
+            else (([], []), 1, [ZERO])
         )
         if len(angles) == 1:
             groups.append(group)
         elif joint.parent == i:
             followers[i].append((j, sign))
         angle = angles[-1] + q[j] * (sense * sign)
-        group[0].append(factor(q[j]))
+        group[0].append(single_factor(q[j]))
         group[1].extend(angle - each for each in angles)
         bodies[j] = group, sense * sign, [*angles, angle]
     return tuple(groups), tuple(map(tuple, followers))
 
 
-Constant = Callable[[str, float], Expression]
+ConstantFactory = Callable[[str, float], Expression]
 
 
-def _gravity(gravity: Array, constant: Constant) -> AnyArray:
-    """(0, 0, -g), or gx gy gz for a direction that is no axis."""
+def _symbolic_gravity(gravity: Array, constant: ConstantFactory) -> AnyArray:
+    """Symbolic gravity, (3,): g or -g along an axis, such as (0, 0, -g); else (gx, gy, gz)."""
     vector = np.zeros(3, dtype=object)
     if np.count_nonzero(gravity) == 1:
         vector += np.sign(gravity).astype(int) * constant("g", np.abs(gravity).max())
@@ -195,14 +239,15 @@ def _gravity(gravity: Array, constant: Constant) -> AnyArray:
     return vector
 
 
-def _exact(values: Array) -> AnyArray:
-    """Numbers as objects, whole ones where they are whole but for rounding."""
-    whole = np.round(values)
-    exact = np.abs(values - whole) < EXACT
-    return np.where(exact, whole.astype(int).astype(object), values.astype(object))
+def _with_integers(values: Array) -> AnyArray:
+    """Object array of numbers, with integers for entries that are almost whole."""
+    rounded = np.round(values)
+    is_whole = np.abs(values - rounded) < ROUNDING_TOLERANCE
+    return np.where(is_whole, rounded.astype(int).astype(object), values.astype(object))
 
 
-def _objects(values: list[Any]) -> AnyArray:
+def _object_array(values: list[Any]) -> AnyArray:
+    """One-dimensional object array of values."""
     array = np.empty(len(values), dtype=object)
     array[:] = values
     return array
@@ -210,13 +255,13 @@ def _objects(values: list[Any]) -> AnyArray:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One entry of the vector of parameters that equations take.
+    """Entry of the parameter vector of equations.
 
     Attributes:
-        label: Its name as a value, such as 2*K3d.
-        unit: kg, kg m or kg m^2.
-        symbol: What stands for it, or for what it is a multiple of, in the equations; None
-            if it is known to be zero.
+        label: Name as a multiple of a sum of symbols, such as 2*K3d.
+        unit: "kg", "kg m" or "kg m^2".
+        symbol: Symbol of the parameter without its multiple; None for a parameter that is known to
+            be zero.
     """
 
     label: Label
@@ -225,29 +270,30 @@ class Parameter:
 
     @property
     def name(self) -> str:
-        """As in the minimal set; or the barycentric parameter's."""
+        """Name of the minimal or barycentric parameter."""
         return self.label.text
 
     @property
-    def times(self) -> int:
-        """How many times the symbol it is."""
-        return self.label.times
+    def multiple(self) -> int:
+        """Multiple of the symbol, such as 2 for 2*K3d."""
+        return self.label.multiple
 
 
 def parameters(
     labels: Sequence[Label], units: Sequence[str], bodies: Iterable[int], lift: Array
 ) -> tuple[Parameter, ...]:
-    """Parameters that equations take; in symbols a star becomes an s.
+    """Entries of the parameter vector of equations, with their symbols.
 
     Args:
-        labels: (N,).
-        units: (N,).
-        bodies: Index of the body of each.
-        lift: (10 n, N), the barycentric parameters on these; a column of zeros is left out.
+        labels: Names of the parameters, (N,).
+        units: Units of the parameters, (N,).
+        bodies: Body index of each parameter.
+        lift: Matrix from the N parameters to the barycentric parameters, (10 n, N); a parameter
+            with a zero column gets no symbol.
     """
-    names = distinct([label.stem.text for label in labels])
+    names = unique_identifiers([label.without_multiple.text for label in labels])
     symbols = (
-        factor(parameter_symbol(name, body)) if column.any() else None
+        single_factor(parameter_symbol(name, body)) if column.any() else None
         for name, body, column in zip(names, bodies, lift.T, strict=True)
     )
     return tuple(map(Parameter, labels, units, symbols))
@@ -256,106 +302,125 @@ def parameters(
 def barycentric(
     parameters: Sequence[Parameter], lift: Array, *, by_column: bool
 ) -> AnyArray:
-    """Barycentric parameters in symbols, (n, 10, 1), or on unit columns, (n, 10, N).
+    """Barycentric parameters as symbols, (n, 10, 1), or as columns, (n, 10, N).
+
+    For each body, they are mbar, mb x y z and K xx xy xz yy yz zz in the body frame.
 
     Args:
-        parameters: What they are made of.
-        lift: (10 n, N).
-        by_column: Whether on unit columns.
+        parameters: Entries of the parameter vector.
+        lift: Matrix from the N parameters to the barycentric parameters, (10 n, N).
+        by_column: True for one column per parameter, as for a regressor; False for symbols.
     """
     theta = lift.astype(object)
     if not by_column:
         symbols = [
-            of(each.symbol) * each.times if each.symbol else 0 for each in parameters
+            factor_expression(each.symbol) * each.multiple if each.symbol else 0
+            for each in parameters
         ]
-        theta = (theta @ _objects(symbols))[:, None]
+        theta = (theta @ _object_array(symbols))[:, None]
     return theta.reshape(-1, 10, theta.shape[1])
 
 
-def distinct(names: Sequence[str]) -> list[str]:
-    """Identifiers for names, no two alike."""
-    found: dict[str, None] = {}
+def unique_identifiers(names: Sequence[str]) -> list[str]:
+    """Unique identifiers of parameter names, in order; underscores are appended to duplicates."""
+    identifiers: dict[str, None] = {}
     for name in names:
-        safe = identifier(name)
-        while safe in found:
-            safe += "_"
-        found[safe] = None
-    return list(found)
+        candidate = identifier(name)
+        while candidate in identifiers:
+            candidate += "_"
+        identifiers[candidate] = None
+    return list(identifiers)
 
 
 def identifier(name: str) -> str:
-    """A parameter's name as programs can have it: mb*2z becomes mbs2z, 2*K3d 2K3d."""
+    """Parameter name without special characters: mbs2z for mb*2z, 2K3d for 2*K3d."""
     text = re.sub(r"^2\*", "2", name).replace("*", "s")
     return re.sub(r"\W", "_", text, flags=re.ASCII)
 
 
 def parameter_symbol(name: str, body: int) -> Expression:
-    """The symbol of a parameter; in terms, tensors come first, then moments, then masses.
+    """Symbol of a parameter, ranked by kind and body.
+
+    Within a term, second moments come first, then first moments, then masses.
 
     Args:
-        name: As it stands in equations.
-        body: Index of its body.
+        name: Name in the equations.
+        body: Body index.
     """
-    return symbol(Nature.PARAMETER, name, 100_000 * _degree(name) + body)
+    return symbol(FactorKind.PARAMETER, name, 100_000 * _kind_rank(name) + body)
 
 
-def _degree(name: str) -> int:
-    """Tensors 0, moments 1, masses 2."""
+def _kind_rank(name: str) -> int:
+    """Rank of a parameter by kind: second moments 0, first moments 1, masses 2."""
     return 2 if name.startswith("mbar") else 1 if name.startswith("mb") else 0
 
 
 def barycentric_definitions(
     tree: Tree, robot: SymbolicRobot, known_zero: AnyArray, budget: Budget
 ) -> list[tuple[str, Expression]]:
-    """Name and meaning of every barycentric parameter that is not known to be zero.
+    """Names and definitions of the barycentric parameters that are not known to be zero.
+
+    Second moments come first, then first moments, then masses, as in the listing of [FRS96].
 
     Args:
         tree: The robot.
-        robot: The same on paper.
-        known_zero: Which are known to be zero, (n, 10). Where a body's own are, so are the
-            components of its centre of mass and central inertia that are zero in the file.
-        budget: Counts terms.
+        robot: Symbolic robot of the tree.
+        known_zero: Mask of the parameters known to be zero, (n, 10). For a body with known
+            zeros, components of centre of mass and central inertia that are zero in the model
+            file are zero in the definitions, too.
+        budget: Counter of terms.
     """
-    masses = [symbol(Nature.PARAMETER, f"m{j + 1}", j) for j in range(tree.n)]
+    masses = [symbol(FactorKind.PARAMETER, f"m{j + 1}", j) for j in range(tree.n)]
     for j in reversed(range(tree.n)):
         if tree.parents[j] >= 0:
             masses[tree.parents[j]] += masses[j]
-    ring = Ring(budget=budget)
-    found = []
+    ring = PolynomialRing(budget=budget)
+    definitions = []
     for j in range(tree.n):
-        values = _own(tree, j, bool(known_zero[j].any()))
+        components = _standard_parameters(tree, j, bool(known_zero[j].any()))
         for child in tree.children(j):
             mass = parameter_symbol(f"mbar{child + 1}", child)
-            values += point_mass(robot.joints[child].offset) * mass
-        values[0] = masses[j]
+            components += point_mass_parameters(robot.joints[child].offset) * mass
+        components[0] = masses[j]
         for component in np.flatnonzero(~known_zero[j]):
-            value = expression(values[component])
-            shown = simplify(ring, ring.expand(value), frozenset())
-            budget.write(len(shown.terms))
-            found.append((component_symbol(j, int(component)).text, shown))
-    # as in the paper's listing
-    return sorted(found, key=lambda pair: -_degree(pair[0]))
+            value = expression(components[component])
+            definition = simplify(ring, ring.expand(value), frozenset())
+            budget.write(len(definition.terms))
+            definitions.append((component_symbol(j, int(component)).text, definition))
+    # order of the listing in [FRS96]
+    return sorted(definitions, key=lambda pair: -_kind_rank(pair[0]))
 
 
-def _own(tree: Tree, j: int, by_file: bool) -> AnyArray:
-    """A body's own ten parameters about its frame, of mass, centre and central inertia."""
+def _standard_parameters(tree: Tree, j: int, by_file: bool) -> AnyArray:
+    """Standard parameters of a body in symbols, (10,).
+
+    They are m mx my mz Ixx Ixy Ixz Iyy Iyz Izz in the body frame, as functions of mass, centre of
+    mass and central inertia.
+
+    Args:
+        tree: The robot.
+        j: Body index.
+        by_file: True to use zero for components that are zero in the model file.
+    """
     inertia = tree.inertias[j]
-    least = TINY if by_file else 0.0
+    tolerance = ZERO_TOLERANCE if by_file else 0.0
     centre = [
-        symbol(Nature.CONSTANT, length_symbol(j, j, axis).text)
-        if abs(length) >= least
+        symbol(FactorKind.CONSTANT, length_symbol(j, j, axis).text)
+        if abs(length) >= tolerance
         else 0
         for axis, length in zip("xyz", inertia.com, strict=True)
     ]
-    least *= np.abs(inertia.central).max()
+    tolerance *= np.abs(inertia.central).max()
     central = [
-        symbol(Nature.PARAMETER, f"J{j + 1}{'xyz'[a]}{'xyz'[b]}", j)
-        if abs(size) >= least
+        symbol(FactorKind.PARAMETER, f"J{j + 1}{'xyz'[a]}{'xyz'[b]}", j)
+        if abs(moment) >= tolerance
         else 0
-        for a, b, size in zip(*UPPER, inertia.central[UPPER], strict=True)
+        for a, b, moment in zip(
+            *UPPER_TRIANGLE, inertia.central[UPPER_TRIANGLE], strict=True
+        )
     ]
-    own: AnyArray = point_mass(_objects(centre)) * symbol(
-        Nature.PARAMETER, f"m{j + 1}", j
+    parameters: AnyArray = point_mass_parameters(_object_array(centre)) * symbol(
+        FactorKind.PARAMETER, f"m{j + 1}", j
     )
-    own[4:] += _objects(central)
-    return own
+    parameters[4:] += _object_array(central)
+    return parameters

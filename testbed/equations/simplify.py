@@ -1,9 +1,9 @@
-"""A polynomial as one would write it: S2*S23 for (C3 - C223)/2, S22 for 2*S2*C2.
+"""Short form of a polynomial by product formulas of trigonometry, as in [FRS96].
 
-The normal form of `polynomial` has one cosine or sine a group of parallel joints. Two of
-them with numbers of equal size become one product where both of its angles are angles
-between bodies; half a sine of a double angle becomes a product. This is how the listing
-of [FRS96] is written.
+For example, the short form of (C3 - C223)/2 is S2*S23. The normal form of `polynomial` has one
+cosine or sine per group of parallel joints. Two such terms with coefficients of equal magnitude
+become one product if both of its angles are angles between bodies; half the sine of a double angle
+becomes a product of sine and cosine.
 """
 
 from __future__ import annotations
@@ -15,143 +15,218 @@ from testbed.equations.expression import Expression, Number, Term, collect, cosi
 from testbed.equations.polynomial import (
     COSINE,
     SINE,
-    Index,
+    AngleSum,
     Polynomial,
-    Ring,
+    PolynomialRing,
     combine,
-    positive,
+    split_sign,
 )
 
-Tone: TypeAlias = tuple[int, Index]  # 0 for a cosine or 1 for a sine, its angle
-Shape: TypeAlias = tuple[Tone, ...]  # cosines and sines of one group
-Shapes: TypeAlias = tuple[tuple[int, Shape], ...]  # by group
-Key: TypeAlias = tuple[int, Shapes]  # monomial, shapes
-Terms: TypeAlias = dict[Key, Number]
+TrigFactor: TypeAlias = tuple[int, AngleSum]  # COSINE or SINE, angle
+GroupProduct: TypeAlias = tuple[TrigFactor, ...]  # cosines and sines of one group
+GroupProducts: TypeAlias = tuple[tuple[int, GroupProduct], ...]  # product of each group
+TermKey: TypeAlias = tuple[
+    int, GroupProducts
+]  # monomial, products of sines and cosines
+Terms: TypeAlias = dict[TermKey, Number]
 
 
 def simplify(
-    ring: Ring, polynomial: Polynomial, natural: frozenset[Index]
+    ring: PolynomialRing, polynomial: Polynomial, allowed_angles: frozenset[AngleSum]
 ) -> Expression:
-    """The polynomial as an expression.
+    """Convert a polynomial into a short expression by product formulas.
+
+    In each group of angles, two sines or two cosines with coefficients of equal magnitude become
+    one product if both of its angles are allowed.
 
     Args:
-        ring: The polynomial's.
-        polynomial: What to write.
-        natural: Angles that products may have, in the ring's numbers.
+        ring: Ring of the polynomial.
+        polynomial: The polynomial.
+        allowed_angles: Angles that are allowed in products, in the ring's angle numbers.
     """
     terms: Terms = {}
-    for wave, part in polynomial.parts.items():
-        shapes = tuple((group, ((kind, index),)) for group, kind, index in wave)
-        terms |= {(monomial, shapes): number for monomial, number in part.items()}
-    for group in sorted({group for wave in polynomial.parts for group, _, _ in wave}):
-        terms = _paired(terms, group, natural)
+    for trig_product, part in polynomial.parts.items():
+        products = tuple(
+            (group, ((kind, index),)) for group, kind, index in trig_product
+        )
+        terms |= {(monomial, products): number for monomial, number in part.items()}
+    for group in sorted(
+        {group for trig_product in polynomial.parts for group, _, _ in trig_product}
+    ):
+        terms = _with_products(terms, group, allowed_angles)
     return collect(_term(ring, *key, number) for key, number in terms.items())
 
 
-def natural_angles(ring: Ring, angles: Iterable[Expression]) -> frozenset[Index]:
-    """Angles in the ring's numbers, each with its first part positive."""
-    found = set()
+def body_angles(
+    ring: PolynomialRing, angles: Iterable[Expression]
+) -> frozenset[AngleSum]:
+    """Angle sums in the numbering of a ring: sorted pairs of angle number and multiple.
+
+    The sign of each sum is chosen so that the first multiple is positive.
+
+    Args:
+        ring: Ring that numbers the angles.
+        angles: Integer combinations of joint coordinates.
+    """
+    indices = set()
     for angle in angles:
         terms = ring.expand(angle).parts.get((), {})
-        index = tuple(sorted((atom, int(times)) for atom, times in terms.items()))
-        found.add(positive(index)[1])
-    return frozenset(found)
+        index = tuple(
+            sorted(
+                (angle_number, int(multiple))
+                for angle_number, multiple in terms.items()
+            )
+        )
+        indices.add(split_sign(index)[1])
+    return frozenset(indices)
 
 
-def _paired(terms: Terms, group: int, natural: frozenset[Index]) -> Terms:
-    """Terms with pairs of tones of one group as products."""
-    alike: dict[Key, dict[Shape, Number]] = {}
-    for (monomial, shapes), number in terms.items():
-        rest = dict(shapes)
-        shape = rest.pop(group, ())
-        alike.setdefault((monomial, tuple(rest.items())), {})[shape] = number
-    found: Terms = {}
-    for (monomial, others), tones in alike.items():
-        for shape, number in _products(tones, natural).items():
-            own = ((group, shape),) if shape else ()
-            found[monomial, (*others, *own)] = number
-    return found
+def _with_products(terms: Terms, group: int, natural: frozenset[AngleSum]) -> Terms:
+    """Terms with pairs of sines or cosines of one group replaced with products.
+
+    Args:
+        terms: Coefficients, keyed by monomial and product of sines and cosines.
+        group: Number of the group of angles.
+        natural: Angles that are allowed in products.
+    """
+    groups: dict[TermKey, dict[GroupProduct, Number]] = {}
+    for (monomial, products), number in terms.items():
+        rest = dict(products)
+        product = rest.pop(group, ())
+        groups.setdefault((monomial, tuple(rest.items())), {})[product] = number
+    result: Terms = {}
+    for (monomial, other_products), coefficients in groups.items():
+        for product, number in _paired_terms(coefficients, natural).items():
+            own_product = ((group, product),) if product else ()
+            result[monomial, (*other_products, *own_product)] = number
+    return result
 
 
-def _products(
-    tones: dict[Shape, Number], natural: frozenset[Index]
-) -> dict[Shape, Number]:
-    """The tones of one term, pairs of them as products where that is shorter."""
-    left = dict(sorted(tones.items()))
-    found: dict[Shape, Number] = {}
-    while left:
-        one = next(iter(left))
-        number = left.pop(one)
-        made = None
-        for two, other in left.items():
-            if abs(other) == abs(number):
-                made = _product(one, two, number, other, natural)
-            if made:
-                del left[two]
+def _paired_terms(
+    coefficients: dict[GroupProduct, Number], natural: frozenset[AngleSum]
+) -> dict[GroupProduct, Number]:
+    """Replace sums of two sines or cosines with products where the angles allow it.
+
+    Args:
+        coefficients: Coefficients of the sines and cosines of one group, for one monomial.
+        natural: Angles that are allowed in products.
+    """
+    remaining = dict(sorted(coefficients.items()))
+    products: dict[GroupProduct, Number] = {}
+    while remaining:
+        first = next(iter(remaining))
+        coefficient = remaining.pop(first)
+        pair_product = None
+        for second, second_coefficient in remaining.items():
+            if abs(second_coefficient) == abs(coefficient):
+                pair_product = _sum_as_product(
+                    first, second, coefficient, second_coefficient, natural
+                )
+            if pair_product:
+                del remaining[second]
                 break
-        shape, size = made or _halved(one, number, natural)
-        found[shape] = found.get(shape, 0) + size
-    return {shape: number for shape, number in found.items() if number}
+        product, new_coefficient = pair_product or _double_angle_product(
+            first, coefficient, natural
+        )
+        products[product] = products.get(product, 0) + new_coefficient
+    return {
+        product: coefficient for product, coefficient in products.items() if coefficient
+    }
 
 
-def _product(
-    one: Shape, two: Shape, size: Number, other: Number, natural: frozenset[Index]
-) -> tuple[Shape, Number] | None:
-    """Two tones of one kind and with numbers of one size as a product, if it is natural."""
-    (kind, u), (second, v) = _tone(one), _tone(two)
-    half, rest = _half(combine(u, v, 1)), _half(combine(u, v, -1))
+def _sum_as_product(
+    first: GroupProduct,
+    second: GroupProduct,
+    coefficient: Number,
+    second_coefficient: Number,
+    natural: frozenset[AngleSum],
+) -> tuple[GroupProduct, Number] | None:
+    """Product equal to a sum of two sines or of two cosines, and its coefficient.
+
+    The result is None if the sum is of a sine and a cosine, or if an angle of the product is not
+    allowed.
+
+    Args:
+        first: First sine or cosine.
+        second: Second sine or cosine.
+        coefficient: Coefficient of the first.
+        second_coefficient: Coefficient of the second, of the same magnitude.
+        natural: Angles that are allowed in products.
+    """
+    (kind, u), (second_kind, v) = _single_factor(first), _single_factor(second)
+    half_sum, half_difference = (
+        _half_angle(combine(u, v, 1)),
+        _half_angle(combine(u, v, -1)),
+    )
     if (
-        kind != second
-        or half is None
-        or rest is None
+        kind != second_kind
+        or half_sum is None
+        or half_difference is None
         or (kind == SINE and not (u and v))
     ):
         return None
-    alike = (size > 0) == (other > 0)
-    if kind == COSINE:  # cos u + cos v = 2 cos h cos r; cos u - cos v = -2 sin h sin r
-        kinds = (COSINE, COSINE) if alike else (SINE, SINE)
-        size = size if alike else -size
-    else:  # sin u + sin v = 2 sin h cos r; sin u - sin v = 2 cos h sin r
-        kinds = (SINE, COSINE) if alike else (COSINE, SINE)
-    shape = []
-    for each, angle in zip(kinds, (half, rest), strict=True):
-        sign, angle = positive(angle)
+    same_sign = (coefficient > 0) == (second_coefficient > 0)
+    # with h = (u + v) / 2, d = (u - v) / 2
+    if kind == COSINE:  # cos u + cos v = 2 cos h cos d; cos u - cos v = -2 sin h sin d
+        kinds = (COSINE, COSINE) if same_sign else (SINE, SINE)
+        coefficient = coefficient if same_sign else -coefficient
+    else:  # sin u + sin v = 2 sin h cos d; sin u - sin v = 2 cos h sin d
+        kinds = (SINE, COSINE) if same_sign else (COSINE, SINE)
+    factors = []
+    for factor_kind, angle in zip(kinds, (half_sum, half_difference), strict=True):
+        sign, angle = split_sign(angle)
         if angle not in natural:
             return None
-        size = size * sign if each == SINE else size
-        shape.append((each, angle))
-    return tuple(sorted(shape)), 2 * size
+        coefficient = coefficient * sign if factor_kind == SINE else coefficient
+        factors.append((factor_kind, angle))
+    return tuple(sorted(factors)), 2 * coefficient
 
 
-def _halved(
-    shape: Shape, number: Number, natural: frozenset[Index]
-) -> tuple[Shape, Number]:
-    """Half a sine of a double angle as a sine times a cosine."""
-    kind, index = _tone(shape)
-    half = _half(index)
-    if len(shape) == 1 and kind == SINE and half in natural and number % 1 == 0.5:
+def _double_angle_product(
+    product: GroupProduct, number: Number, natural: frozenset[AngleSum]
+) -> tuple[GroupProduct, Number]:
+    """Product of sine and cosine for the sine of a double angle with half-integer coefficient.
+
+    Other products, and angles whose half is not allowed, are returned unchanged.
+    """
+    kind, index = _single_factor(product)
+    half = _half_angle(index)
+    if len(product) == 1 and kind == SINE and half in natural and number % 1 == 0.5:
         return ((COSINE, half), (SINE, half)), 2 * number
-    return shape, number
+    return product, number
 
 
-def _tone(shape: Shape) -> Tone:
-    """Kind and angle of a single tone; 1 is the cosine of nothing."""
-    return shape[0] if shape else (COSINE, ())
+def _single_factor(product: GroupProduct) -> TrigFactor:
+    """Kind and angle of a single sine or cosine.
+
+    An empty product is the cosine of zero.
+    """
+    return product[0] if product else (COSINE, ())
 
 
-def _half(index: Index) -> Index | None:
-    """Half an angle, if its parts stay whole."""
+def _half_angle(index: AngleSum) -> AngleSum | None:
+    """Half of an angle; None if a multiple is odd."""
     if any(times % 2 for _, times in index):
         return None
     return tuple((atom, int(times) // 2) for atom, times in index)
 
 
-def _term(ring: Ring, monomial: int, shapes: Shapes, number: Number) -> Term:
+def _term(
+    ring: PolynomialRing, monomial: int, products: GroupProducts, number: Number
+) -> Term:
+    """Term of an expression: a number times a monomial times products of sines and cosines.
+
+    Args:
+        ring: Ring of the polynomial.
+        monomial: Number that encodes the exponents of the ring's atoms.
+        products: Sine and cosine factors, by group of parallel angles.
+        number: Coefficient.
+    """
     factors = [
         factor for factor, power in ring.exponents(monomial) for _ in range(power)
     ]
-    for _, shape in shapes:
-        for kind, index in shape:
+    for _, product in products:
+        for kind, index in product:
             angle = collect(((ring.angle(atom),), times) for atom, times in index)
             ((inside, sign),) = (sine if kind == SINE else cosine)(angle).terms
             factors += inside

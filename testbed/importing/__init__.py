@@ -1,5 +1,5 @@
-"""Other programs' files as recordings.
+"""Import of recordings from files of other programs, described by a mapping file.
 
-In: CSV, MATLAB, HDF5, ROS, MCAP, LeRobot, Rerun, C3D, and a mapping.
-Out: `Recording` in SI units, with a report of what was converted.
+Input: CSV, MATLAB, HDF5, ROS, MCAP, LeRobot, Rerun or C3D files, and a mapping.
+Output: `Recording` in SI units, with a report of what was converted.
 """

@@ -1,4 +1,4 @@
-"""Steps of encoders from one sample to the next: whole turns are taken back, others named."""
+"""Steps in encoder readings: whole turns are removed, other steps are reported."""
 
 from __future__ import annotations
 
@@ -7,66 +7,81 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.recordings.channels import steps
-from testbed.importing.foreign_table import ANGLES, factor, plain
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.recordings.channel_tests import signal_steps
+from testbed.importing.foreign_table import ANGLE_UNITS, canonical_unit, unit_size
 from testbed.importing.mapping import SignalTable
 
-LEAST = 5e-3
-"""Least size of a step [rad or m]."""
+MIN_STEP = 5e-3
+"""Smallest size of a reported step [rad or m]."""
 
-LOST = 20
-"""Samples of one value before a step that lost samples leave, and no re-homing does."""
+MIN_STANDSTILL_SAMPLES = 20
+"""Number of equal samples before a step from which on samples were lost; the zero did not move."""
 
-MOST = 3
-"""Steps of a joint above which they are noise, or lost samples."""
+MAX_STEPS = 3
+"""Number of steps of a joint above which they are noise or lost samples, and not reported."""
 
 
-def without_turns(
+def unwrapped_positions(
     table: SignalTable, names: Sequence[str], time: Array, values: Array
 ) -> tuple[Array, tuple[Diagnostic, ...]]:
-    """Unwrapped positions (M, k), and the steps removed or left.
+    """Unwrapped positions, (M, k), and diagnostics of removed turns and of remaining steps.
+
+    Differences of successive angles are reduced by the nearest number of whole turns. Steps found
+    by `signal_steps` are then reported if they exceed 5e-3 rad or m, do not end a standstill, and
+    number at most three in their column.
 
     Args:
-        table: Of the positions.
-        names: Of the joints; of the columns where a matrix mixes them.
-        time: (M,), increasing [s].
-        values: As the file holds them, (M, k).
+        table: Table of the positions in the mapping.
+        names: Joint names, or names of the columns if a matrix mixes them.
+        time: Sample times, increasing, (M,) [s].
+        values: Positions in the units of the file, (M, k).
     """
-    found, said = values.copy(), []
-    wrapped: dict[str, int] = {}
+    unwrapped, diagnostics = values.copy(), []
+    turn_counts: dict[str, int] = {}
     for k, (name, unit) in enumerate(zip(names, table.units, strict=True)):
-        scale = factor("position", unit)
+        scale = unit_size("position", unit)
         if table.matrix is not None:
             scale *= float(np.abs(np.array(table.matrix)[:, k]).max())
-        if plain(unit) in ANGLES:
+        if canonical_unit(unit) in ANGLE_UNITS:
             turn = 2 * np.pi / scale
-            turns = np.round(np.diff(found[:, k]) / turn)
-            found[1:, k] -= turn * np.cumsum(turns)
+            turns = np.round(np.diff(unwrapped[:, k]) / turn)
+            unwrapped[1:, k] -= turn * np.cumsum(turns)
             if turns.any():
-                wrapped[name] = int(np.count_nonzero(turns))
-        sizes = {
-            i: size
-            for i, size in steps(time, found[:, k])
-            if abs(size) * scale > LEAST and not _thaws(found[:, k], i)
+                turn_counts[name] = int(np.count_nonzero(turns))
+        jumps = {
+            i: jump
+            for i, jump in signal_steps(time, unwrapped[:, k])
+            if abs(jump) * scale > MIN_STEP and not _ends_standstill(unwrapped[:, k], i)
         }
-        if 0 < len(sizes) <= MOST:
-            times = ", ".join(f"{time[i + 1] - time[0]:.6g}" for i in sizes)
-            said.append(
-                diagnose(
+        if 0 < len(jumps) <= MAX_STEPS:
+            times = ", ".join(f"{time[i + 1] - time[0]:.6g}" for i in jumps)
+            diagnostics.append(
+                make_diagnostic(
                     "position.step",
                     name,
-                    scale * max(sizes.values(), key=abs),
+                    scale * max(jumps.values(), key=abs),
                     at=times,
                 )
             )
-    if wrapped:
-        names_of = ", ".join(f"{name} {count} times" for name, count in wrapped.items())
-        said.append(diagnose("position.unwrapped", names_of, sum(wrapped.values())))
-    return found, tuple(said)
+    if turn_counts:
+        counts_text = ", ".join(
+            f"{name} {count} times" for name, count in turn_counts.items()
+        )
+        diagnostics.append(
+            make_diagnostic(
+                "position.unwrapped", counts_text, sum(turn_counts.values())
+            )
+        )
+    return unwrapped, tuple(diagnostics)
 
 
-def _thaws(values: Array, i: int) -> bool:
-    """Whether a column that stood still moves from a sample on: values were lost, no zero moved."""
-    still = i >= LOST and not np.ptp(values[i - LOST : i + 1])
-    return still and bool(values[i + 1] != values[i + 2])
+def _ends_standstill(values: Array, i: int) -> bool:
+    """Test whether a column is constant over 20 samples before a step, and moves afterwards.
+
+    At such a step samples were lost; the zero of the encoder did not move.
+    """
+    constant = i >= MIN_STANDSTILL_SAMPLES and not np.ptp(
+        values[i - MIN_STANDSTILL_SAMPLES : i + 1]
+    )
+    return constant and bool(values[i + 1] != values[i + 2])

@@ -1,4 +1,4 @@
-"""What an import found: every source's clock, every signal's samples, and what to doubt."""
+"""Report of an import, with diagnostics of clocks and samples; drafts of mapping files."""
 
 from __future__ import annotations
 
@@ -8,97 +8,121 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
-from testbed.core.base.codec import decode
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import plural, printable
+from testbed.core.base.codec import from_json_values
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import count_with_noun, printable_line
 from testbed.importing.source_clock import ClockReport
 
-LONGEST = 300
-"""Characters of a note that quotes names of files and columns."""
+MAX_NOTE_LENGTH = 300
+"""Largest number of characters of a note."""
 
 
 @dataclass(frozen=True)
 class MappingDraft:
-    """Draft of a mapping file: tables, notes beside keys, comments above tables.
+    """Draft of a mapping file: tables, comments on keys, and comment lines above tables.
 
     Attributes:
-        tables: By dotted name, that of the keys without a table being empty: keys and values.
-        notes: By table and key, what is said beside it.
-        remarks: Lines of comment above a table, or in place of one that is not there.
+        tables: Keys and values, keyed by the dotted name of their table; the top level has an empty
+            name.
+        key_comments: Comment at the end of a key's line, keyed by table and key.
+        table_comments: Comment lines above a table, or in place of a missing table.
     """
 
     tables: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    notes: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    remarks: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    key_comments: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    table_comments: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
-    def saying(self, table: str, key: str, value: Any, note: str = "") -> MappingDraft:
-        """The same with another value of a key, and another note beside it; None takes it out.
+    def with_key(
+        self, table: str, key: str, value: Any, note: str = ""
+    ) -> MappingDraft:
+        """Draft with a new value and comment for a key.
 
         Args:
-            table: Its dotted name.
-            key: Of the table.
-            value: Number, text, list or table.
-            note: One line; none if that is empty.
+            table: Dotted name of the table.
+            key: Key in the table.
+            value: Number, text, list or table; None removes the key.
+            note: Comment at the end of the key's line; empty for no comment.
         """
-        given = {**self.tables.get(table, {}), key: value}
-        keys = {name: each for name, each in given.items() if each is not None}
+        entries = {**self.tables.get(table, {}), key: value}
+        keys = {name: each for name, each in entries.items() if each is not None}
         notes = {
-            place: each for place, each in self.notes.items() if place != (table, key)
+            location: each
+            for location, each in self.key_comments.items()
+            if location != (table, key)
         }
         notes |= {(table, key): note} if note and value is not None else {}
-        return replace(self, tables={**self.tables, table: keys}, notes=notes)
+        return replace(self, tables={**self.tables, table: keys}, key_comments=notes)
 
-    def saying_all(
+    def with_keys(
         self, table: str, keys: Iterable[tuple[str, Any, str]]
     ) -> MappingDraft:
-        """The same with keys of a table, their values and notes."""
+        """Draft with new values and comments for several keys of a table.
+
+        Args:
+            table: Dotted name of the table.
+            keys: Keys with values and comments.
+        """
         draft = self
         for key, value, note in keys:
-            draft = draft.saying(table, key, value, note)
+            draft = draft.with_key(table, key, value, note)
         return draft
 
-    def remarking(self, table: str, *lines: str) -> MappingDraft:
-        """The same with lines of comment above a table, or in place of one that is not there."""
-        said = [*self.remarks.get(table, ()), *lines]
+    def with_comment_lines(self, table: str, *lines: str) -> MappingDraft:
+        """Draft with additional comment lines above a table, or in place of a missing table.
+
+        Args:
+            table: Dotted name of the table.
+            lines: Comment lines, starting with "#".
+        """
+        comments = [*self.table_comments.get(table, ()), *lines]
         return replace(
             self,
             tables={**self.tables, table: self.tables.get(table, {})},
-            remarks={**self.remarks, table: said},
+            table_comments={**self.table_comments, table: comments},
         )
 
     @property
     def content(self) -> dict[str, Any]:
-        """As TOML would be read; a key that begins with # is a comment."""
-        found: dict[str, Any] = {}
+        """Content of the draft as parsed TOML, without keys that begin with #."""
+        root: dict[str, Any] = {}
         for name, keys in self.tables.items():
-            here = found
+            table = root
             for part in name.split(".") if name and keys else ():
-                here = here.setdefault(part, {})
-            here.update({key: value for key, value in keys.items() if key[0] != "#"})
-        return found
+                table = table.setdefault(part, {})
+            table.update({key: value for key, value in keys.items() if key[0] != "#"})
+        return root
 
     @property
     def text(self) -> str:
-        """The file."""
+        """Content of the draft as TOML text."""
         blocks = []
         for name, keys in self.tables.items():
-            lines = [*self.remarks.get(name, ())] + [f"[{name}]"] * bool(name and keys)
+            lines = [*self.table_comments.get(name, ())] + [f"[{name}]"] * bool(
+                name and keys
+            )
             for key, value in keys.items():
-                note = printable(self.notes.get((name, key), ""), LONGEST)
-                plain = (
+                note = printable_line(
+                    self.key_comments.get((name, key), ""), MAX_NOTE_LENGTH
+                )
+                key_text = (
                     key
                     if re.fullmatch(r"(# )?[\w-]+", key, re.ASCII)
                     else json.dumps(key)
                 )
-                lines.append(f"{plain} = {in_toml(value)}" + f"  # {note}" * bool(note))
+                lines.append(
+                    f"{key_text} = {toml_value(value)}" + f"  # {note}" * bool(note)
+                )
             blocks.append("\n".join(lines))
         return "\n\n".join(blocks) + "\n"
 
-    def line(self, key: str) -> int:
-        """Number of the line in `text` of a key, of its table if it is not there, else 1.
+    def line_number(self, key: str) -> int:
+        """Line number of a key in `text`, or of the key's table.
+
+        The line number is that of the table if the key is missing, and 1 if the table is missing
+        too.
 
         Args:
-            key: Dotted, with its table's name.
+            key: Key with the dotted name of its table.
         """
         table, _, name = key.rpartition(".")
         lines = self.text.splitlines()
@@ -112,16 +136,16 @@ class MappingDraft:
         return 1 + (keys or [first])[0]
 
 
-def in_toml(value: Any) -> str:
-    """A value as TOML writes it.
+def toml_value(value: Any) -> str:
+    """Value in TOML notation.
 
     Args:
         value: Number, text, or a list or table of these.
     """
     if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{key} = {in_toml(each)}' for key, each in value.items())} }}"
+        return f"{{ {', '.join(f'{key} = {toml_value(each)}' for key, each in value.items())} }}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(in_toml, value))}]"
+        return f"[{', '.join(map(toml_value, value))}]"
     return (
         f"{value:.15g}"
         if isinstance(value, float)
@@ -129,40 +153,41 @@ def in_toml(value: Any) -> str:
     )
 
 
-Line: TypeAlias = tuple[str, str, Any]
-"""A table of a mapping, a key of it, and its value."""
+MappingLine: TypeAlias = tuple[str, str, Any]
+"""Table of a mapping file, key in it, and value."""
 
 
-def in_mapping(lines: Iterable[Line]) -> str:
-    """Advice to write lines into a mapping; of those about one key the last.
+def mapping_advice(lines: Iterable[MappingLine]) -> str:
+    """Advice to write lines into the mapping file; the last line per key takes precedence.
 
     Args:
-        lines: To be applied together, in this order.
+        lines: Lines to be applied together, in this order.
     """
     last = {(table, key): value for table, key, value in lines}
     return "in the mapping: " + "; ".join(
-        f"[{table}] {key} = {in_toml(value)}".removeprefix("[] ")
+        f"[{table}] {key} = {toml_value(value)}".removeprefix("[] ")
         for (table, key), value in last.items()
     )
 
 
-JITTER = 0.1
-"""Of sampling times, relative, from which stamps are doubted."""
+MAX_JITTER = 0.1
+"""Standard deviation of sampling intervals, relative, from which time stamps are reported."""
 
-HELD = 0.05
-"""Part of samples that do not change from which the device is taken to be slower."""
+MAX_HELD_SHARE = 0.05
+"""Share of unchanged samples from which the device is taken to be slower than the recording."""
 
 
 @dataclass(frozen=True)
 class SignalReport:
-    """How a signal came onto the grid.
+    """Report on the samples of a signal.
 
     Attributes:
-        source: Of which source.
-        held: Part of the samples in which no channel changed.
-        dropped: Samples left out as held.
-        low_pass: Whether it was low-passed, the source being faster than the grid.
-        diagnostics: What else a person should know.
+        source: Name of the source.
+        held: Share of samples in which no channel changed.
+        dropped: Number of samples omitted because they are unchanged.
+        low_pass: True if the signal was low-pass filtered because the source is faster than the
+            grid.
+        diagnostics: Diagnostics of the signal.
     """
 
     source: str
@@ -174,13 +199,13 @@ class SignalReport:
 
 @dataclass(frozen=True)
 class ImportReport:
-    """What an import found.
+    """Report of an import.
 
     Attributes:
-        rate: Of the recording [Hz].
-        samples: Its samples.
-        clocks: By source.
-        signals: By signal.
+        rate: Rate of the recording [Hz].
+        samples: Number of samples of the recording.
+        clocks: Reports on time stamps, keyed by source.
+        signals: Reports on samples, keyed by signal.
     """
 
     rate: float
@@ -189,59 +214,79 @@ class ImportReport:
     signals: Mapping[str, SignalReport]
 
     @staticmethod
-    def from_dict(said: Mapping[str, Any]) -> ImportReport:
-        """Report that a recording keeps under the fact "import"."""
-        return decode(ImportReport, said, {})  # type: ignore[no-any-return]
+    def from_dict(content: Mapping[str, Any]) -> ImportReport:
+        """Report from the entry "import" in a recording's metadata.
 
-    def lines(self) -> list[str]:
-        """All of it for a person, a line each."""
+        Args:
+            content: Value of the entry.
+        """
+        return from_json_values(ImportReport, content, {})  # type: ignore[no-any-return]
+
+    def text_lines(self) -> list[str]:
+        """Lines of text: duration and rate of the recording, then the clock of each source."""
         return [
-            f"{plural(self.samples, 'sample')} at {self.rate:g} Hz "
+            f"{count_with_noun(self.samples, 'sample')} at {self.rate:g} Hz "
             f"({(self.samples - 1) / self.rate:.4g} s)",
-            *(_clock(name, clock) for name, clock in self.clocks.items()),
+            *(_clock_line(name, clock) for name, clock in self.clocks.items()),
         ]
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What to doubt."""
-        return (*self._of_clocks(), *self._of_signals())
+        """Diagnostics of clocks and signals."""
+        return (*self._clock_diagnostics(), *self._signal_diagnostics())
 
-    def _of_clocks(self) -> Iterator[Diagnostic]:
+    def _clock_diagnostics(self) -> Iterator[Diagnostic]:
+        """Yield diagnostics of incomplete last samples, jitter above 0.1, and gaps, per source."""
         for name, clock in self.clocks.items():
             if clock.cut:
-                yield diagnose("import.incomplete", name, clock.samples)
-            if clock.jitter > JITTER:
-                advice = (
+                yield make_diagnostic("import.incomplete", name, clock.samples)
+            if clock.jitter > MAX_JITTER:
+                steady_advice = (
                     f"say `steady = true` in [sources.{name}] if the device samples at a constant "
                     "rate"
                 )
-                missing = "look for lost samples: no constant rate makes these stamps"
-                yield diagnose(
+                lost_advice = (
+                    "look for lost samples: no constant rate makes these stamps"
+                )
+                yield make_diagnostic(
                     "import.jitter",
                     name,
                     clock.jitter,
-                    advice=advice if clock.even else missing,
+                    advice=steady_advice if clock.even else lost_advice,
                 )
             if clock.gaps:
                 gaps = (
-                    f"{plural(clock.gaps, 'gap')} ({plural(clock.missing, 'sample')})"
+                    f"{count_with_noun(clock.gaps, 'gap')} "
+                    f"({count_with_noun(clock.missing, 'sample')})"
                 )
-                yield diagnose("import.gaps", name, clock.longest_gap, gaps=gaps)
+                yield make_diagnostic("import.gaps", name, clock.longest_gap, gaps=gaps)
 
-    def _of_signals(self) -> Iterator[Diagnostic]:
+    def _signal_diagnostics(self) -> Iterator[Diagnostic]:
+        """Yield diagnostics of repeated samples, and the report's own diagnostics, for each signal.
+
+        Repeated samples are reported if their share exceeds 0.05 and no samples were omitted;
+        temperatures are exempt.
+        """
         for name, signal in self.signals.items():
-            if signal.held > HELD and not signal.dropped and name != "temperature":
-                yield diagnose("import.held", name, signal.held, source=signal.source)
+            if (
+                signal.held > MAX_HELD_SHARE
+                and not signal.dropped
+                and name != "temperature"
+            ):
+                yield make_diagnostic(
+                    "import.held", name, signal.held, source=signal.source
+                )
             yield from signal.diagnostics
 
 
-def _clock(name: str, clock: ClockReport) -> str:
+def _clock_line(name: str, clock: ClockReport) -> str:
+    """Line of text about the clock of a source: samples, rate, jitter and gaps."""
     gaps = (
-        f"{plural(clock.gaps, 'gap')}, the longest {clock.longest_gap:.3g} s"
+        f"{count_with_noun(clock.gaps, 'gap')}, the longest {clock.longest_gap:.3g} s"
         if clock.gaps
         else "no gaps"
     )
     return (
-        f"source '{name}': {plural(clock.samples, 'sample')} at {clock.rate:.6g} Hz, jitter "
-        f"{clock.jitter:.2%}, {gaps}, {clock.repeated} repeated"
+        f"source '{name}': {count_with_noun(clock.samples, 'sample')} at {clock.rate:.6g} Hz, "
+        f"jitter {clock.jitter:.2%}, {gaps}, {clock.repeated} repeated"
     )

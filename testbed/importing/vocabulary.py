@@ -1,4 +1,4 @@
-"""Tables of words, loggers, formats and hypotheses, as files beside this module list them."""
+"""Tables of words, loggers, formats and hypotheses, read from TOML files next to this module."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import Any
 
 
 def read_table(name: str) -> dict[str, Any]:
-    """Content of a table beside this module.
+    """Content of a TOML file in the folder of this module.
 
     Args:
-        name: Of the file, without its ending.
+        name: File name without the extension.
     """
     return loads(files("testbed.importing").joinpath(f"{name}.toml").read_text("utf-8"))
 
 
-TABLES = read_table("vocabulary")
-"""Lists of words by what they say."""
+WORD_TABLES = read_table("vocabulary")
+"""Words in names of columns and units, by topic."""
 
 
-def by_word(table: str) -> dict[str, str]:
-    """Keys of a table by their words.
+def keys_by_word(table: str) -> dict[str, str]:
+    """Invert a table of words: map each word to its key.
 
     Args:
-        table: As "symbols", whose keys are quantities.
+        table: Name of the table, for example "symbols", whose keys are quantities.
     """
-    return {word: key for key, words in TABLES[table].items() for word in words}
+    return {word: key for key, words in WORD_TABLES[table].items() for word in words}

@@ -1,4 +1,4 @@
-"""The most informative motion beside a random one: designed, proven, its precision predicted."""
+"""Design of an excitation trajectory, with predicted precision compared to a random motion."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.codec import encode
-from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.core.base.errors import few
-from testbed.core.base.stages import unreported
+from testbed.core.base.codec import to_json_values
+from testbed.core.base.diagnostics import Diagnosed, Diagnostic, make_diagnostic
+from testbed.core.base.errors import shortened_list
+from testbed.core.base.stages import ignore_progress
 from testbed.core.robot.tree import Tree
-from testbed.motion.design import Design, DesignProblem, Watch, design
+from testbed.motion.design import Design, DesignProblem, SearchCallback, design
 from testbed.motion.fourier import Fourier
 from testbed.motion.information import Prediction, predict
-from testbed.motion.proof import Rules
+from testbed.motion.proof import MotionConstraints
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation(Diagnosed):
-    """A designed motion, its predicted precision, and that of a random motion.
+    """Designed motion with predicted precision, and a random motion for comparison.
 
     Attributes:
-        problem: Limits, unknowns and instruments that the motion is designed for.
+        problem: Limits, unknowns and instruments of the design.
         design: The motion and its proof.
-        predicted: Standard deviations of the parameters by that motion.
-        random: The same by a random motion; None where there is none.
-        candidates: Number of random motions of which that one is the best.
+        predicted: Standard deviations of the parameters with the designed motion.
+        random: Standard deviations with a random motion; None for no random motion.
+        candidates: Number of random motions from which the best was selected for comparison.
     """
 
     problem: DesignProblem
@@ -39,37 +39,38 @@ class Excitation(Diagnosed):
     candidates: int = 1
 
     @property
-    def rules(self) -> Rules:
-        """Limits that the motion respects."""
+    def rules(self) -> MotionConstraints:
+        """Limits of the motion."""
         return self.problem.rules
 
     @property
     def tree(self) -> Tree:
-        """The robot."""
+        """Robot of the design problem."""
         return self.rules.tree
 
-    def document(self) -> dict[str, Any]:
-        """The motion, its proof and both predictions as plain tables, for JSON."""
+    def json_values(self) -> dict[str, Any]:
+        """Motion, proof and both predictions as values for JSON."""
         motion = self.design.motion
         return {
             "fundamental": motion.fundamental,
             "harmonics": motion.harmonics,
             "criterion": self.problem.information.criterion,
             "value": self.design.value,
-            "complete": self.design.complete,
+            "complete": self.design.is_complete,
             "searches": self.design.searches,
-            "predicted": encode(self.predicted),
-            "random": None if self.random is None else encode(self.random),
+            "predicted": to_json_values(self.predicted),
+            "random": None if self.random is None else to_json_values(self.random),
             "gain": self.gain,
-            "diagnostics": encode(self.diagnostics),
-            "proof": encode(self.design.proof),
+            "diagnostics": to_json_values(self.diagnostics),
+            "proof": to_json_values(self.design.proof),
         }
 
     @property
     def gain(self) -> float | None:
-        """Rms relative sigma of the random motion over that of the designed one.
+        """Ratio of the rms relative sigmas of random motion and designed motion.
 
-        None where there is no random motion, or one that does not identify all parameters.
+        The ratio is None without a random motion, or if the random motion does not identify all
+        parameters.
         """
         if self.random is None or not np.isfinite(self.random.rms):
             return None
@@ -77,7 +78,7 @@ class Excitation(Diagnosed):
 
     @property
     def beside_random(self) -> str:
-        """The gain in words."""
+        """Phrase for reports that compares rms relative sigmas of designed and random motion."""
         origin = f"the best of {self.candidates} random motions"
         if self.random is None:
             return "no random motion within the limits was found for comparison"
@@ -87,40 +88,47 @@ class Excitation(Diagnosed):
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Parameters that the motion hardly excites."""
+        """Diagnostic of parameters with a predicted relative sigma above one."""
         names, relative = np.array(self.predicted.names), self.predicted.relative
-        poor = names[relative > 1].tolist()
-        return (diagnose("motion.uncertain", few(poor)),) if poor else ()
+        uncertain = names[relative > 1].tolist()
+        return (
+            (make_diagnostic("motion.uncertain", shortened_list(uncertain)),)
+            if uncertain
+            else ()
+        )
 
 
 def excite(
     problem: DesignProblem,
     random: Fourier | None = None,
     candidates: int = 1,
-    watch: Watch = unreported,
+    watch: SearchCallback = ignore_progress,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Excitation:
-    """Design a motion, and predict its precision beside that of a random one.
+    """Design a motion, and predict standard deviations for this motion and a random motion.
 
     Args:
         problem: Limits, unknowns and instruments.
-        random: A motion to compare with.
-        candidates: Number of random motions of which that one is the best.
-        watch: Called after every step of a search, with the relative sigma of the best.
-        interrupted: Asked after every step whether to go on with the best so far.
+        random: Random motion for comparison; None for no comparison.
+        candidates: Number of random motions from which `random` was selected as the best.
+        watch: Callback after every step of a search; instead of the criterion, it receives the
+            relative sigma of the best motion for the whole recording.
+        interrupted: Callback after every step; True stops the design with the best motion so far.
 
     Raises:
-        InfeasibleMotion: No motion inside the limits was found.
+        NoFeasibleMotion: No motion inside the limits was found.
     """
     one_sample = np.sqrt(problem.pipeline.samples)
 
-    def relative(done: int, total: int, best: float) -> None:
+    def report_relative_sigma(done: int, total: int, best: float) -> None:
         watch(done, total, float(np.exp(best / 2) / one_sample))
 
     def forecast(motion: Fourier) -> Prediction:
         return predict(problem.information, problem.rows, motion, problem.pipeline)
 
     with one_blas_thread():
-        found = design(problem, relative, interrupted)
-        beside = None if random is None else forecast(random)
-        return Excitation(problem, found, forecast(found.motion), beside, candidates)
+        result = design(problem, report_relative_sigma, interrupted)
+        random_prediction = None if random is None else forecast(random)
+        return Excitation(
+            problem, result, forecast(result.motion), random_prediction, candidates
+        )

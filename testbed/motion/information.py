@@ -1,4 +1,4 @@
-"""The information matrix of the unknowns: criteria, derivatives by the motion, predicted sigma."""
+"""Information matrix of the base parameters for a motion: criteria, derivatives, prediction."""
 
 from __future__ import annotations
 
@@ -12,43 +12,48 @@ from scipy.ndimage import minimum_filter1d
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
-from testbed.core.base.codec import with_properties
+from testbed.core.base.codec import schema_with_properties
 from testbed.core.parameters.minimal_set import selection
-from testbed.core.parameters.rules import Model
+from testbed.core.parameters.rules import Signal
 from testbed.core.parameters.symbols import parameter_scale
 from testbed.motion.fourier import Fourier
-from testbed.motion.samples import SMALL, SampledRows, Samples
+from testbed.motion.samples import MIN_RELATIVE_SCALE, KernelForces, SampledRows
 
 Criterion: TypeAlias = Callable[[Array], tuple[float, Array]]
-"""Of C, (N, N): the value, and its derivative by C, (N, N)."""
+"""Function that maps a covariance C, (N, N), to a value and its derivative with respect to C,
+(N, N)."""
 
 CriterionName = Literal["a", "d", "e"]
 
 
-POWER = 8
-"""Of the norm that stands for the largest eigenvalue."""
+NORM_ORDER = 8
+"""Order of the norm that approximates the largest eigenvalue smoothly."""
 
 
 def a_optimal(covariance: Array) -> tuple[float, Array]:
-    """Log of the mean variance, and its derivative."""
+    """A-optimality: log of the mean variance, and derivative with respect to the covariance."""
     count, trace = len(covariance), float(np.trace(covariance))
     return float(np.log(trace / count)), np.eye(count) / trace
 
 
 def d_optimal(covariance: Array) -> tuple[float, Array]:
-    """Log of the geometric mean of the variances along the axes, and its derivative."""
+    """D-optimality: mean log eigenvalue of the covariance, and derivative."""
     count = len(covariance)
-    size = float(np.linalg.slogdet(covariance)[1])
-    return size / count, np.linalg.inv(covariance) / count
+    log_determinant = float(np.linalg.slogdet(covariance)[1])
+    return log_determinant / count, np.linalg.inv(covariance) / count
 
 
 def e_optimal(covariance: Array) -> tuple[float, Array]:
-    """Log of a smooth stand-in for the largest variance along an axis, and its derivative."""
+    """E-optimality: log of the largest eigenvalue, smoothed, and derivative.
+
+    The largest eigenvalue is approximated by the power mean of order NORM_ORDER of all eigenvalues.
+    The derivative is taken with respect to the covariance.
+    """
     values, axes = eigh(covariance)
     share = np.maximum(values, 0.0) / values[-1]
-    total = float(np.sum(share**POWER))
-    value = float(np.log(values[-1]) + np.log(total / len(values)) / POWER)
-    return value, (axes * (share ** (POWER - 1) / (total * values[-1]))) @ axes.T
+    total = float(np.sum(share**NORM_ORDER))
+    value = float(np.log(values[-1]) + np.log(total / len(values)) / NORM_ORDER)
+    return value, (axes * (share ** (NORM_ORDER - 1) / (total * values[-1]))) @ axes.T
 
 
 CRITERIA: dict[CriterionName, Criterion] = {
@@ -56,61 +61,71 @@ CRITERIA: dict[CriterionName, Criterion] = {
     "d": d_optimal,
     "e": e_optimal,
 }
-"""By name."""
+"""Optimality criteria, keyed by name."""
 
 
 Instrument = Literal["plate", "joints", "both"]
-"""Whose rows count: the bedplate's wrench, the joints' torques, or all."""
+"""Instrument whose regressor rows are used: bedplate (wrench), joints (torques), or both."""
 
 
-SMOOTH = 0.05
-"""Speed over which the sign of dry friction is smoothed, for derivatives [rad/s or m/s]."""
+SIGN_SMOOTHING_SPEED = 0.05
+"""Speed scale of tanh(qd / scale) in place of sign(qd) in dry friction [rad/s or m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class RegressorRows:
-    """Regressor rows of one model, expressed in the unknowns.
+    """Regressor rows of one signal for the unknowns of the design.
+
+    The U unknowns are the N base parameters, relative to their scales. With joint torques, n dry
+    and n viscous friction coefficients are added.
 
     Attributes:
-        model: Whose rows.
-        slots: Of each channel.
-        lead: What a channel's slots have of the unknowns, (s, U) each.
-        weights: One over the variance of each channel's noise, (channels,).
-        friction: Place of the joints' dry friction among the unknowns, viscous friction after it;
-            None for the plate, which feels none.
+        model: Signal of the rows.
+        slots: Range of the slots of each channel (regressor entries of `SampledRows`).
+        lead: Matrix of each channel that maps its s slots to the U columns of the unknowns, (s, U).
+        weights: Inverse noise variance of each channel, (channels,).
+        friction: Index of the first dry friction coefficient among the unknowns; the viscous
+            coefficients follow. None for the plate, which does not measure friction.
     """
 
-    model: Model
+    model: Signal
     slots: tuple[slice, ...]
     lead: tuple[Array, ...]
     weights: Array
     friction: int | None
 
-    def rows(self, samples: Samples) -> list[Array]:
-        """The rows of each channel on all unknowns, (G, U) each."""
+    def rows(self, samples: KernelForces) -> list[Array]:
+        """Regressor rows of each channel for all unknowns at G instants, (G, U) each."""
         slots, speeds = samples.slots[self.model][:, 0], samples.motion.qd
-        found = [
-            slots[own].T @ lead for own, lead in zip(self.slots, self.lead, strict=True)
+        rows = [
+            slots[channel_slots].T @ lead
+            for channel_slots, lead in zip(self.slots, self.lead, strict=True)
         ]
         if self.friction is not None:
-            n = len(found)
-            for joint, phi in enumerate(found):
-                qd, first = speeds[:, joint], self.friction + joint
-                phi[:, first], phi[:, first + n] = np.tanh(qd / SMOOTH), qd
-        return found
+            n = len(rows)
+            for joint, phi in enumerate(rows):
+                qd, column = speeds[:, joint], self.friction + joint
+                phi[:, column], phi[:, column + n] = (
+                    np.tanh(qd / SIGN_SMOOTHING_SPEED),
+                    qd,
+                )
+        return rows
 
 
 @dataclass(frozen=True, eq=False)
 class DesignObjective:
-    """Objective of a design: the parameters to identify, and the rows that identify them.
+    """Objective of a design: parameters to identify, rows, prior and criterion.
+
+    Unknowns are those of `RegressorRows`.
 
     Attributes:
-        names: Names of the minimal parameters, the first of the unknowns; friction is a nuisance.
-        scale: What their relative errors are relative to, (N,).
-        parts: Rows that identify them.
-        prior: Information that is there before, on all unknowns, (U, U), as much as of one
-            measurement an instant.
-        criterion: By name.
+        names: Names of the base parameters, which are the first unknowns; friction coefficients are
+            nuisance parameters.
+        scale: Scale of each parameter for relative errors, (N,).
+        parts: Rows of each used signal.
+        prior: Prior information on all unknowns, (U, U), on the scale of one measurement per
+            instant.
+        criterion: Name of the optimality criterion.
     """
 
     names: tuple[str, ...]
@@ -121,16 +136,17 @@ class DesignObjective:
 
     def matrix(
         self,
-        samples: Samples,
+        samples: KernelForces,
         counted: NDArray[np.bool_] | None = None,
         harmonics: int | None = None,
     ) -> Array:
-        """The information of one measurement an instant, the prior aside, (U, U).
+        """Information matrix of one measurement per instant without the prior, (U, U).
 
         Args:
-            samples: The instants; of one period, if `harmonics` is given.
-            counted: Whether each joint's row counts at each instant, (G, n); default all.
-            harmonics: Of the plate's rows, those that count; default all.
+            samples: Samples of the motion; samples of one period if `harmonics` is given.
+            counted: True where the torque row of a joint is used, (G, n); default all rows.
+            harmonics: Number of harmonics to which the plate's rows are low-pass filtered; default
+                no filter.
         """
         total = np.zeros_like(self.prior)
         for part in self.parts:
@@ -138,145 +154,176 @@ class DesignObjective:
                 if part.friction is not None and counted is not None:
                     phi = counted[:, [channel]] * phi
                 elif part.friction is None and harmonics is not None:
-                    waves = np.fft.rfft(phi, axis=0)
-                    waves[harmonics + 1 :] = 0
-                    phi = np.fft.irfft(waves, len(phi), axis=0)
+                    spectrum = np.fft.rfft(phi, axis=0)
+                    spectrum[harmonics + 1 :] = 0
+                    phi = np.fft.irfft(spectrum, len(phi), axis=0)
                 total += part.weights[channel] * (phi.T @ phi)
         return total
 
-    def value(self, samples: Samples) -> float:
-        """The criterion; infinite where an unknown is not seen."""
+    def value(self, samples: KernelForces) -> float:
+        """Value of the criterion; infinite if an unknown is not identifiable."""
         covariance = self.covariance(self.matrix(samples) + self.prior)
         return np.inf if covariance is None else CRITERIA[self.criterion](covariance)[0]
 
-    def slopes(self, samples: Samples) -> Array:
-        """The criterion's derivatives by q, then qd, then qdd of every instant, (3 n, G)."""
-        full = _inverse(self.matrix(samples) + self.prior)
-        assert full is not None
+    def slopes(self, samples: KernelForces) -> Array:
+        """Derivatives of the criterion with respect to q, qd, qdd at every instant, (3 n, G).
+
+        All unknowns must be identifiable, and `samples` must have a stencil.
+        """
+        covariance = _scaled_inverse(self.matrix(samples) + self.prior)
+        assert covariance is not None
         assert samples.stencil is not None
         count = len(self.scale)
-        by_covariance = CRITERIA[self.criterion](full[:count, :count])[1]
-        by_matrix = full[:, :count] @ by_covariance @ full[:count]  # times -1
+        by_covariance = CRITERIA[self.criterion](covariance[:count, :count])[1]
+        by_information = (
+            covariance[:, :count] @ by_covariance @ covariance[:count]
+        )  # times -1
         n = samples.motion.q.shape[1]
         total = np.zeros((3 * n, samples.motion.samples))
         for part in self.parts:
             slots = samples.slots[part.model]
-            pulled = np.zeros(slots.shape[::2])
+            slot_slopes = np.zeros(slots.shape[::2])
             for c, phi in enumerate(part.rows(samples)):
-                back = -2 * part.weights[c] * (by_matrix @ phi.T)  # (U, G)
-                pulled[part.slots[c]] += part.lead[c] @ back
+                row_slopes = -2 * part.weights[c] * (by_information @ phi.T)  # (U, G)
+                slot_slopes[part.slots[c]] += part.lead[c] @ row_slopes
                 if part.friction is not None:
-                    dry, wet = back[part.friction + c], back[part.friction + n + c]
-                    sign = np.tanh(samples.motion.qd[:, c] / SMOOTH)
-                    total[n + c] += dry * (1 - sign**2) / SMOOTH
-                    total[n + c] += wet
-            total += samples.stencil.weights @ np.einsum("sg,seg->eg", pulled, slots)
+                    dry_slopes, viscous_slopes = (
+                        row_slopes[part.friction + c],
+                        row_slopes[part.friction + n + c],
+                    )
+                    sign = np.tanh(samples.motion.qd[:, c] / SIGN_SMOOTHING_SPEED)
+                    total[n + c] += dry_slopes * (1 - sign**2) / SIGN_SMOOTHING_SPEED
+                    total[n + c] += viscous_slopes
+            total += samples.stencil.weights @ np.einsum(
+                "sg,seg->eg", slot_slopes, slots
+            )
         return total
 
     def covariance(self, information: Array) -> Array | None:
-        """Covariance of the minimal parameters' relative errors; None if one is not seen."""
-        full = _inverse(information)
+        """Covariance of the relative errors of the base parameters, (N, N).
+
+        The covariance is marginal, as friction coefficients are also estimated. The result is None
+        if an unknown is not identifiable.
+
+        Args:
+            information: Information matrix of all unknowns, (U, U).
+        """
+        inverse = _scaled_inverse(information)
         count = len(self.scale)
-        return None if full is None else full[:count, :count]
+        return None if inverse is None else inverse[:count, :count]
 
 
 def information_of(
-    rows: Mapping[Model, SampledRows],
+    rows: Mapping[Signal, SampledRows],
     instrument: Instrument,
     plate_noise: Array,
     torque_noise: Array,
     criterion: CriterionName = "a",
     prior: Array | None = None,
 ) -> DesignObjective:
-    """Collect what a motion should identify.
+    """Build the design objective from sampled rows, noise and prior.
 
     Args:
-        rows: Of the models that `models_of(instrument)` names.
-        instrument: Whose rows count.
+        rows: Sampled rows of the signals in `signals_of_instrument(instrument)`.
+        instrument: Instrument whose rows are used.
         plate_noise: Standard deviation of the plate's channels, (6,) [N, N m].
-        torque_noise: Of the joints' torques, (n,) [N m or N].
-        criterion: By name.
-        prior: Covariance of the minimal parameters from before, (N, N); None for none.
+        torque_noise: Standard deviation of the joint torques, (n,) [N m or N].
+        criterion: Name of the optimality criterion.
+        prior: Prior covariance of the absolute base parameters, (N, N); None for no prior.
     """
-    main = rows["dynamic" if instrument == "joints" else "reaction"]
-    scale = parameter_scale(main.delta, main.minimal.units, SMALL)
+    main_rows = rows["torque" if instrument == "joints" else "wrench"]
+    scale = parameter_scale(
+        main_rows.delta, main_rows.minimal.units, MIN_RELATIVE_SCALE
+    )
     count = len(scale)
     unknowns = count if instrument == "plate" else count + 2 * len(torque_noise)
     parts = []
-    for model in models_of(instrument):
-        here, joints = rows[model], model == "dynamic"
-        lead = np.zeros((here.minimal.count, unknowns))
-        lead[:, :count] = scale * (
-            np.eye(count) if here is main else selection(here.minimal, main.minimal)
+    for model in signals_of_instrument(instrument):
+        sampled, is_torque = rows[model], model == "torque"
+        selection_matrix = np.zeros((sampled.minimal.count, unknowns))
+        selection_matrix[:, :count] = scale * (
+            np.eye(count)
+            if sampled is main_rows
+            else selection(sampled.minimal, main_rows.minimal)
         )
-        slots, bases = zip(*here.channels(), strict=True)
-        leads = tuple(basis @ lead for basis in bases)
-        weights = (torque_noise if joints else plate_noise) ** -2.0
+        slots, bases = zip(*sampled.channels(), strict=True)
+        leads = tuple(basis @ selection_matrix for basis in bases)
+        weights = (torque_noise if is_torque else plate_noise) ** -2.0
         parts.append(
-            RegressorRows(model, slots, leads, weights, count if joints else None)
+            RegressorRows(model, slots, leads, weights, count if is_torque else None)
         )
-    before = np.zeros((unknowns, unknowns))
+    prior_information = np.zeros((unknowns, unknowns))
     if prior is not None:
-        before[:count, :count] = np.linalg.inv(prior) * np.outer(scale, scale)
-    return DesignObjective(main.minimal.names, scale, tuple(parts), before, criterion)
+        prior_information[:count, :count] = np.linalg.inv(prior) * np.outer(
+            scale, scale
+        )
+    return DesignObjective(
+        main_rows.minimal.names, scale, tuple(parts), prior_information, criterion
+    )
 
 
-def models_of(instrument: Instrument) -> tuple[Model, ...]:
-    """Whose rows an instrument gives."""
+def signals_of_instrument(instrument: Instrument) -> tuple[Signal, ...]:
+    """Signals of an instrument: "wrench" of the plate, "torque" of joints, or both."""
     if instrument == "both":
-        return "reaction", "dynamic"
-    return ("reaction" if instrument == "plate" else "dynamic",)
+        return "wrench", "torque"
+    return ("wrench" if instrument == "plate" else "torque",)
 
 
-def _inverse(matrix: Array) -> Array | None:
-    """Of a positive definite matrix whose diagonal may span many orders; None of another."""
-    size = np.sqrt(np.diag(matrix))
-    if not (np.isfinite(matrix).all() and (size > 0).all()):
+def _scaled_inverse(matrix: Array) -> Array | None:
+    """Inverse of a matrix after scaling to unit diagonal; None unless positive definite."""
+    scale = np.sqrt(np.diag(matrix))
+    if not (np.isfinite(matrix).all() and (scale > 0).all()):
         return None
     try:
-        half = np.linalg.inv(np.linalg.cholesky(matrix / np.outer(size, size)))
+        inverse_root = np.linalg.inv(
+            np.linalg.cholesky(matrix / np.outer(scale, scale))
+        )
     except np.linalg.LinAlgError:
         return None
-    return np.asarray(half.T @ half / np.outer(size, size))
+    return np.asarray(inverse_root.T @ inverse_root / np.outer(scale, scale))
 
 
-DENSITY = 24
-"""Samples of a period for each harmonic: those of the rows are at most four times the motion's."""
+SAMPLES_PER_HARMONIC = 24
+"""Samples of a period per harmonic; rows contain harmonics of up to four times the order of the
+motion's harmonics."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pipeline:
-    """What an estimate makes of a recording.
+class SignalProcessing:
+    """Parameters of the estimator's signal processing for a recording.
 
     Attributes:
-        rate: Samples a second [Hz].
-        span: Time that its filters leave of the recording [s].
-        band: What is faster in the rows does not count [Hz]; infinite for all.
-        resting: Rows of a joint do not count while it is slower, nor near it [rad/s or m/s].
-        reach: So near [s].
+        rate: Sampling rate [Hz].
+        duration: Duration of the recording after filtering [s].
+        band: Cut-off frequency of the rows [Hz]; infinite for no low-pass filter.
+        min_speed: Joint speed at or below which rows of a joint are not used [rad/s or m/s].
+        guard_time: Time before and after samples at or below `min_speed` in which rows are not used
+            [s].
     """
 
     rate: float
-    span: float
+    duration: float
     band: float
-    resting: float
-    reach: float
+    min_speed: float
+    guard_time: float
 
     @property
     def samples(self) -> float:
-        """Number of samples that the filters leave."""
-        return self.rate * self.span
+        """Number of samples after filtering."""
+        return self.rate * self.duration
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a motion promises.
+    """Predicted precision of the base parameters for a motion.
 
     Attributes:
-        names: Of the minimal parameters.
-        sigma: Of each, (N,) [kg, kg m, kg m^2].
-        relative: The same as shares of the values, small ones counted as larger, (N,).
-        condition: Condition number of the rows on relative parameters.
+        names: Names of the base parameters.
+        sigma: Standard deviation of each parameter, (N,) [kg, kg m, kg m^2].
+        relative: Ratios of the standard deviations to the values, (N,); small values are raised to
+            MIN_RELATIVE_SCALE times the largest value of the same unit. Infinite if not
+            identifiable.
+        condition: Condition number of the weighted regressor for relative parameters.
     """
 
     names: tuple[str, ...]
@@ -284,33 +331,37 @@ class Prediction:
     relative: Array
     condition: float
 
-    __get_pydantic_core_schema__ = with_properties("rms")
+    __get_pydantic_core_schema__ = schema_with_properties("rms")
 
     @property
     def rms(self) -> float:
-        """Of the relative sigmas."""
+        """Rms of the relative standard deviations."""
         return float(np.sqrt(np.mean(self.relative**2)))
 
 
 def predict(
     information: DesignObjective,
-    rows: Mapping[Model, SampledRows],
+    rows: Mapping[Signal, SampledRows],
     motion: Fourier,
-    pipeline: Pipeline,
+    pipeline: SignalProcessing,
 ) -> Prediction:
-    """Predict standard deviations, those of white noise alone.
+    """Predict standard deviations of the base parameters under white noise.
+
+    All standard deviations are infinite if an unknown is not identifiable.
 
     Args:
-        information: What is asked; its prior is a share of one sample.
-        rows: Of the models that it looks at.
-        motion: The motion, repeated.
-        pipeline: What an estimate makes of it.
+        information: Design objective; its prior information is divided by the number of samples.
+        rows: Sampled rows of the used signals.
+        motion: Periodic motion, repeated over the recording.
+        pipeline: Signal processing of the estimator.
     """
-    count = max(DENSITY * motion.harmonics, 200)
-    samples = Samples(motion.at(motion.instants(count)), rows, None)
-    counted = moving(motion, count, pipeline)
-    keep = int(pipeline.band * motion.period) if np.isfinite(pipeline.band) else count
-    matrix = information.matrix(samples, counted=counted, harmonics=keep)
+    count = max(SAMPLES_PER_HARMONIC * motion.harmonics, 200)
+    samples = KernelForces(motion.at(motion.instants(count)), rows, None)
+    counted = is_counted(motion, count, pipeline)
+    harmonics = (
+        int(pipeline.band * motion.period) if np.isfinite(pipeline.band) else count
+    )
+    matrix = information.matrix(samples, counted=counted, harmonics=harmonics)
     matrix = (matrix / count + information.prior) * pipeline.samples
     covariance = information.covariance(matrix)
     if covariance is None:
@@ -323,8 +374,19 @@ def predict(
     )
 
 
-def moving(motion: Fourier, count: int, pipeline: Pipeline) -> NDArray[np.bool_]:
-    """Whether each joint's rows count at samples of a period, (count, n)."""
-    fast = np.abs(motion.derivative(motion.instants(count), 1)) > pipeline.resting
-    width = 2 * round(pipeline.reach * count / motion.period) + 1
-    return np.asarray(minimum_filter1d(fast, width, axis=0, mode="wrap"))
+def is_counted(
+    motion: Fourier, count: int, pipeline: SignalProcessing
+) -> NDArray[np.bool_]:
+    """True where rows of a joint are used, at the samples of a period, (count, n).
+
+    A row is used if the joint is faster than `min_speed` from `guard_time` before the sample to
+    `guard_time` after the sample.
+
+    Args:
+        motion: Periodic motion.
+        count: Number of samples of a period.
+        pipeline: Signal processing of the estimator.
+    """
+    is_fast = np.abs(motion.derivative(motion.instants(count), 1)) > pipeline.min_speed
+    width = 2 * round(pipeline.guard_time * count / motion.period) + 1
+    return np.asarray(minimum_filter1d(is_fast, width, axis=0, mode="wrap"))

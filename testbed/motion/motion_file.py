@@ -1,4 +1,4 @@
-"""Motion files: Fourier coefficients, and samples for a controller."""
+"""Files of motions: Fourier coefficients (TOML), and samples for a controller (CSV)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,18 @@ import numpy as np
 import tomli_w
 from pydantic import BaseModel, Field
 
-from testbed.core.base.contents import fingerprint
+from testbed.core.base.contents import sha256_of_file
 from testbed.core.base.errors import ExperimentError
-from testbed.core.base.files import replacing
-from testbed.core.base.installation import version
-from testbed.core.base.toml_text import KNOWN_KEYS, Finite, Positive, checked, read_toml
-from testbed.core.base.whole_files import write_whole
+from testbed.core.base.files import atomic_output
+from testbed.core.base.installation import installed_version
+from testbed.core.base.toml_text import (
+    STRICT_TABLE,
+    Finite,
+    Positive,
+    read_toml,
+    validate_tables,
+)
+from testbed.core.base.whole_files import write_atomically
 from testbed.core.robot.tree import Tree
 from testbed.motion.fourier import Fourier
 from testbed.motion.rest_to_rest import RestToRest, rest_to_rest
@@ -26,7 +32,7 @@ if TYPE_CHECKING:
     from testbed.motion.excite import Excitation
 
 MOST_SAMPLES = 5e6
-"""Of a file."""
+"""Largest number of samples of a trajectory file."""
 
 _HEAD = """\
 # A motion, made by testbed {version}, excite.
@@ -37,21 +43,25 @@ _HEAD = """\
 """
 
 
-class _Joint(BaseModel):
-    model_config = KNOWN_KEYS
+class _JointTable(BaseModel):
+    """Table of a joint's Fourier coefficients."""
+
+    model_config = STRICT_TABLE
 
     offset: Finite
     sine: Annotated[list[Finite], Field(max_length=1000)]
     cosine: Annotated[list[Finite], Field(max_length=1000)]
 
 
-class _File(BaseModel):
-    model_config = KNOWN_KEYS
+class _MotionTables(BaseModel):
+    """Tables of a motion file; `limits`, `predicted` and `proof` are accepted but not used."""
+
+    model_config = STRICT_TABLE
 
     model: str
     model_sha256: str = ""
     fundamental: Positive
-    joint: dict[str, _Joint]
+    joint: dict[str, _JointTable]
     limits: dict[str, Any] = Field(default_factory=dict)
     predicted: dict[str, Any] = Field(default_factory=dict)
     proof: list[Any] = Field(default_factory=list)
@@ -62,10 +72,10 @@ class MotionFile:
     """Content of a motion file.
 
     Attributes:
-        path: The file.
-        model: The model file it was made for.
-        motion: Columns in the order of `names`.
-        names: Of the joints.
+        path: Path of the file.
+        model: Path of the model file that the motion was designed for.
+        motion: Motion, with joints in the order of `names`.
+        names: Names of the joints.
     """
 
     path: Path
@@ -74,13 +84,13 @@ class MotionFile:
     names: tuple[str, ...]
 
     def motion_for(self, tree: Tree) -> Fourier:
-        """The motion in the order of a robot's joints.
+        """Motion with joints in the order of a robot.
 
         Args:
             tree: The robot.
 
         Raises:
-            ExperimentError: It has other joints.
+            ExperimentError: The sets of joint names differ.
         """
         if set(self.names) != set(tree.names):
             hint = ""
@@ -94,59 +104,63 @@ class MotionFile:
                 f"{', '.join(tree.names)}{hint}"
             )
         order = [self.names.index(name) for name in tree.names]
-        return Fourier.of(self.motion.fundamental, self.motion.coefficients[order])
+        return Fourier.from_coefficients(
+            self.motion.fundamental, self.motion.coefficients[order]
+        )
 
 
 def read_motion(path: Path) -> MotionFile:
-    """Read a motion.
+    """Read a motion file.
 
     Args:
-        path: A file that `write_motion` wrote, or one of the same form: model, fundamental and
-            a table for each joint do.
+        path: File from `write_motion`, or another TOML file with the model, the fundamental
+            frequency and one table per joint.
 
     Raises:
-        ExperimentError: It is no such file.
+        ExperimentError: The file is invalid.
     """
-    found = checked(_File, read_toml(path, "motion"), str(path))
+    tables = validate_tables(_MotionTables, read_toml(path, "motion"), str(path))
     counts = {
-        len(part)
-        for joint in found.joint.values()
-        for part in (joint.sine, joint.cosine)
+        len(coefficients)
+        for joint in tables.joint.values()
+        for coefficients in (joint.sine, joint.cosine)
     }
     if len(counts) != 1 or 0 in counts:
         raise ExperimentError(
             f"{path}: all joints need sines and cosines, equally many, found {sorted(counts)}"
         )
-    if "\0" in found.model:
+    if "\0" in tables.model:
         raise ExperimentError(f"{path}: model is not a file name")
     rows = [
-        [joint.offset, *joint.sine, *joint.cosine] for joint in found.joint.values()
+        [joint.offset, *joint.sine, *joint.cosine] for joint in tables.joint.values()
     ]
     return MotionFile(
         path=path,
-        model=(path.parent / found.model).resolve(),
-        motion=Fourier.of(found.fundamental, np.array(rows)),
-        names=tuple(found.joint),
+        model=(path.parent / tables.model).resolve(),
+        motion=Fourier.from_coefficients(tables.fundamental, np.array(rows)),
+        names=tuple(tables.joint),
     )
 
 
-def write_motion(path: Path, found: Excitation, model: Path) -> None:
-    """Write a motion.
+def write_motion(path: Path, excitation: Excitation, model: Path) -> None:
+    """Write the Fourier coefficients of a designed motion to a TOML file for `read_motion`.
+
+    The model file is recorded by its path relative to the written file and by its SHA-256 hash.
 
     Args:
-        path: The file; what stands there is replaced.
-        found: The motion.
-        model: The robot's model file.
+        path: Path of the file, which is replaced if it exists.
+        excitation: The designed motion.
+        model: Path of the robot's model file.
     """
-    motion = found.design.motion
+    motion = excitation.design.motion
     joints = zip(
-        found.tree.names, motion.offset, motion.sine, motion.cosine, strict=True
+        excitation.tree.names, motion.offset, motion.sine, motion.cosine, strict=True
     )
     tables = {
         "model": Path(
             os.path.relpath(model.resolve(), path.resolve().parent)
         ).as_posix(),
-        "model_sha256": fingerprint(model),
+        "model_sha256": sha256_of_file(model),
         "fundamental": motion.fundamental,
         "joint": {
             name: {
@@ -157,48 +171,54 @@ def write_motion(path: Path, found: Excitation, model: Path) -> None:
             for name, offset, sine, cosine in joints
         },
     }
-    write_whole(path, _HEAD.format(version=version()) + tomli_w.dumps(tables))
+    write_atomically(
+        path, _HEAD.format(version=installed_version()) + tomli_w.dumps(tables)
+    )
 
 
 def write_trajectory(
-    path: Path, found: Excitation, rate: float, duration: float
+    path: Path, excitation: Excitation, rate: float, duration: float
 ) -> RestToRest:
-    """Write a motion's samples: columns time, position/JOINT, velocity/JOINT, acceleration/JOINT.
+    """Write samples of a motion from rest to rest: time, positions, velocities, accelerations.
 
-    Time is zero where the periodic motion begins: what is recorded from there on, whole periods,
-    is for the estimate; what comes before leads from rest into it, what comes after to rest.
+    Columns are time, position/JOINT, velocity/JOINT, acceleration/JOINT [s, rad or m]. The periodic
+    part, for identification, begins at time zero; earlier samples lead from rest to the periodic
+    part, and samples after its end lead back to rest.
 
     Args:
-        path: The CSV file; what stands there is replaced.
-        found: The motion.
-        rate: Samples a second [Hz].
-        duration: Wished for the periodic part [s].
+        path: Path of the CSV file, which is replaced if it exists.
+        excitation: The designed motion.
+        rate: Sampling rate [Hz].
+        duration: Requested duration of the periodic part, rounded to whole periods [s].
 
     Returns:
-        The motion with its start and end.
+        Motion with its start and end.
 
     Raises:
-        ExperimentError: Too many samples.
-        InfeasibleMotion: The motion cannot begin from rest.
+        ExperimentError: The file would have more than MOST_SAMPLES samples.
+        NoFeasibleMotion: The robot cannot start the motion from rest.
     """
-    motion = rest_to_rest(found.design.motion, found.rules, duration)
-    lead = motion.start.duration
-    count = rate * (motion.end + 2 * lead)
+    motion = rest_to_rest(excitation.design.motion, excitation.rules, duration)
+    start_duration = motion.start.duration
+    count = rate * (motion.end + 2 * start_duration)
     if count > MOST_SAMPLES:
         raise ExperimentError(
             f"{count / rate:g} s at {rate:g} Hz are {count:.1e} samples, more than "
             f"{MOST_SAMPLES:.0e}; choose a lower --rate or a shorter motion.duration"
         )
-    first = -int(np.floor(lead * rate + 1e-9))
-    last = int(np.floor((motion.end + lead) * rate + 1e-9))
+    first = -int(np.floor(start_duration * rate + 1e-9))
+    last = int(np.floor((motion.end + start_duration) * rate + 1e-9))
     samples = motion.at(np.arange(first, last + 1) / rate)
     kinds = ("position", "velocity", "acceleration")
-    head = ["time", *(f"{kind}/{name}" for kind in kinds for name in found.tree.names)]
+    header = [
+        "time",
+        *(f"{kind}/{name}" for kind in kinds for name in excitation.tree.names),
+    ]
     table = np.column_stack([samples.t, samples.q, samples.qd, samples.qdd])
     with (
-        replacing(path) as fresh,
-        fresh.open("w", encoding="utf-8", newline="") as file,
+        atomic_output(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="") as file,
     ):
-        csv.writer(file, lineterminator="\n").writerow(head)
+        csv.writer(file, lineterminator="\n").writerow(header)
         np.savetxt(file, table, "%.16g", ",")
     return motion

@@ -1,4 +1,7 @@
-"""One search: Fourier coefficients as unknowns, a criterion and limits as functions of them."""
+"""Optimisation of Fourier coefficients by a primal-dual interior-point method.
+
+Unknowns are normalised Fourier coefficients; objective and limits are functions of them.
+"""
 
 from __future__ import annotations
 
@@ -12,54 +15,54 @@ from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve
 
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.parameters.rules import Model
+from testbed.core.parameters.rules import Signal
 from testbed.motion.clearance import ClearanceTerm
-from testbed.motion.fourier import Fourier, terms
+from testbed.motion.fourier import Fourier, fourier_basis
 from testbed.motion.information import DesignObjective
 from testbed.motion.limits import Limits
-from testbed.motion.samples import SampledRows, Samples, Stencil
+from testbed.motion.samples import KernelForces, SampledRows, Stencil
 from testbed.motion.terms import ForceTerm
 
-WEIGHT = 20.0
-"""Of the barrier at first, in all: its share of each limit is this over their number."""
-SHRINK = 0.3
-"""By which the barrier's weight falls whenever its own minimum is near."""
-LAST = 3e-3
-"""Of the barrier's weight in all: what it may still cost of the criterion."""
-INNER = 12
-"""Steps at most for one weight."""
-STEPS = 100
-"""Of a search at most."""
-NEAREST = 0.005
-"""Part of the way to a limit that a step must leave."""
+INITIAL_BARRIER = 20.0
+"""Initial barrier parameter, summed over all limits."""
+BARRIER_REDUCTION = 0.3
+"""Factor by which the barrier parameter is reduced near the minimum of the barrier function."""
+FINAL_BARRIER = 3e-3
+"""Final barrier parameter, summed over all limits; it bounds the loss in the objective."""
+MAX_INNER_STEPS = 12
+"""Largest number of steps with one barrier parameter."""
+MAX_SEARCH_STEPS = 100
+"""Largest number of steps of a search."""
+MIN_SLACK_SHARE = 0.005
+"""Smallest fraction of a limit's slack that remains after a step."""
 
 
 @dataclass(frozen=True, eq=False)
-class Inside:
-    """A function and its limits at a point: strictly inside, all are negative.
+class Evaluation:
+    """Values of the objective and of the limits at a point.
 
     Attributes:
-        value: Of the function.
-        limits: (m,).
+        value: Value of the objective.
+        limits: Values of the m limits, (m,); negative where limits are respected.
     """
 
     value: float
     limits: Array
 
     @property
-    def holds(self) -> bool:
-        """Whether the point is strictly inside."""
+    def is_feasible(self) -> bool:
+        """True if the point is strictly inside all limits."""
         return bool(np.isfinite(self.value) and (self.limits < 0).all())
 
 
 @dataclass(frozen=True, eq=False)
-class Point(Inside):
-    """The same with derivatives.
+class Linearisation(Evaluation):
+    """Values and derivatives of the objective and of the limits at a point.
 
     Attributes:
-        x: Where, (k,).
-        gradient: Of the function, (k,).
-        jacobian: Of the limits.
+        x: Point with k unknowns, (k,).
+        gradient: Gradient of the objective, (k,).
+        jacobian: Jacobian of the limits.
     """
 
     x: Array
@@ -67,123 +70,180 @@ class Point(Inside):
     jacobian: BlockJacobian
 
 
-def minimise(
+def interior_point_minimum(
     search: InteriorPointProblem,
     x: Array,
     stop: Callable[[float], bool] | None = None,
-) -> Point:
-    """A point strictly inside the limits where the function is small.
+) -> Linearisation:
+    """Minimise the objective within the limits by a primal-dual interior-point method.
 
     Args:
-        search: The function and its limits.
-        x: Where to start, strictly inside, (k,).
-        stop: Asked after every step, with the value reached.
+        search: Objective and limits.
+        x: Initial point, strictly inside, (k,).
+        stop: Callback with the objective after every step; True ends the search.
+
+    Returns:
+        Last point, strictly inside the limits.
 
     Raises:
-        ValueError: The start is not inside.
+        ValueError: The initial point is not inside the limits.
     """
-    here = search.point(x)
-    if not here.holds:
+    current = search.linearise(x)
+    if not current.is_feasible:
         raise ValueError("the search starts outside the limits")
-    count = len(here.limits)
-    barrier, inner = WEIGHT / count, 0
-    dual = barrier / -here.limits
-    curvature = np.eye(len(x))
-    for step in range(STEPS):
-        newton = _newton(here, dual, curvature, barrier)
-        if newton is None:
+    count = len(current.limits)
+    barrier, inner_steps = INITIAL_BARRIER / count, 0
+    dual = barrier / -current.limits
+    hessian = np.eye(len(x))
+    for step in range(MAX_SEARCH_STEPS):
+        newton_step = _newton_step(current, dual, hessian, barrier)
+        if newton_step is None:
             break
-        move, dual_move, slope = newton
-        length = _length(search, here, move, slope, barrier)
+        move, dual_move, slope = newton_step
+        length = _step_length(search, current, move, slope, barrier)
         if length == 0:
             break
-        there = search.point(here.x + length * move)
-        dual = _inside_duals(dual, dual_move, there, barrier)
-        curvature = _bfgs(curvature, here, there, dual, first=step == 0)
-        here, inner = there, inner + 1
-        if stop is not None and stop(here.value):
+        following = search.linearise(current.x + length * move)
+        dual = _updated_duals(dual, dual_move, following, barrier)
+        hessian = _bfgs_update(hessian, current, following, dual, first=step == 0)
+        current, inner_steps = following, inner_steps + 1
+        if stop is not None and stop(current.value):
             break
-        if -slope < 0.5 * barrier * np.sqrt(count) or inner >= INNER:
-            if barrier <= LAST / count:
+        if -slope < 0.5 * barrier * np.sqrt(count) or inner_steps >= MAX_INNER_STEPS:
+            if barrier <= FINAL_BARRIER / count:
                 break
-            barrier, inner = max(SHRINK * barrier, LAST / count), 0
-    return here
+            barrier, inner_steps = (
+                max(BARRIER_REDUCTION * barrier, FINAL_BARRIER / count),
+                0,
+            )
+    return current
 
 
-def _newton(
-    here: Point, dual: Array, curvature: Array, barrier: float
+def _newton_step(
+    current: Linearisation, dual: Array, hessian: Array, barrier: float
 ) -> tuple[Array, Array, float] | None:
-    """Steps of the unknowns and of the duals, and the barrier function's slope along them.
+    """Newton step of unknowns and duals, and slope of the barrier function along the step.
 
-    None where numbers are too coarse for a step: as near to a kink of the limits as can be.
+    None if the Newton matrix is numerically not positive definite, for example near a kink.
+
+    Args:
+        current: Linearisation at the current point.
+        dual: Dual variables of the limits, (m,).
+        hessian: Approximate Hessian of the Lagrangian, (k, k).
+        barrier: Barrier parameter of each limit.
     """
-    slack = -here.limits
+    slack = -current.limits
     ratio = dual / slack
-    downhill = -(here.gradient + here.jacobian.transposed(barrier / slack))
-    matrix = curvature + here.jacobian.squared(ratio)
+    descent = -(current.gradient + current.jacobian.rmatvec(barrier / slack))
+    matrix = hessian + current.jacobian.weighted_gram(ratio)
     try:
-        move = cho_solve(cho_factor(matrix, check_finite=False), downhill)
+        move = cho_solve(cho_factor(matrix, check_finite=False), descent)
     except LinAlgError:
         return None
-    along = here.jacobian.times(move)
-    return move, barrier / slack - dual + ratio * along, float(-downhill @ move)
+    limit_changes = current.jacobian.matvec(move)
+    return move, barrier / slack - dual + ratio * limit_changes, float(-descent @ move)
 
 
-def _length(
-    search: InteriorPointProblem, here: Point, move: Array, slope: float, barrier: float
+def _step_length(
+    search: InteriorPointProblem,
+    current: Linearisation,
+    move: Array,
+    slope: float,
+    barrier: float,
 ) -> float:
-    """How far to go so that the barrier function falls; 0 if nowhere."""
-    slack, along = -here.limits, here.jacobian.times(move)
-    before = here.value - barrier * float(np.log(slack).sum())
-    length = min(1.0, 0.99 / max(float((along / slack).max()), 1e-30))
+    """Length of a feasible step with sufficient decrease of the barrier function (Armijo).
+
+    The length is 0 if 25 bisections yield no feasible step with sufficient decrease.
+
+    Args:
+        search: Objective and limits.
+        current: Linearisation at the current point.
+        move: Step of the unknowns, (k,).
+        slope: Slope of the barrier function along the step.
+        barrier: Barrier parameter of each limit.
+    """
+    slack, limit_changes = -current.limits, current.jacobian.matvec(move)
+    initial_value = current.value - barrier * float(np.log(slack).sum())
+    length = min(1.0, 0.99 / max(float((limit_changes / slack).max()), 1e-30))
     for _ in range(25):
-        there = search.inside(here.x + length * move)
-        if there.holds and (-there.limits > NEAREST * slack).all():
-            after = there.value - barrier * float(np.log(-there.limits).sum())
-            if after <= before + 1e-4 * length * slope:
+        trial = search.evaluate(current.x + length * move)
+        if trial.is_feasible and (-trial.limits > MIN_SLACK_SHARE * slack).all():
+            trial_value = trial.value - barrier * float(np.log(-trial.limits).sum())
+            if trial_value <= initial_value + 1e-4 * length * slope:
                 return length
         length /= 2
     return 0.0
 
 
-def _inside_duals(dual: Array, move: Array, there: Point, barrier: float) -> Array:
-    """The duals a step on, positive and near what the barrier says."""
-    falling = move < 0
-    most = float((-dual[falling] / move[falling]).min()) if falling.any() else np.inf
-    moved = np.maximum(dual + min(1.0, 0.99 * most) * move, 1e-12)
-    central = barrier / -there.limits
-    return np.clip(moved, central / 10, 10 * central)
-
-
-def _bfgs(
-    curvature: Array, here: Point, there: Point, dual: Array, *, first: bool
+def _updated_duals(
+    dual: Array, move: Array, following: Linearisation, barrier: float
 ) -> Array:
-    """Curvature after a step: of the function and of the limits with their duals."""
-    step = there.x - here.x
-    change = there.gradient + there.jacobian.transposed(dual)
-    change -= here.gradient + here.jacobian.transposed(dual)
+    """Dual variables after a step, positive and near the central path.
+
+    The duals stay within a factor of ten of barrier / slack after the step (`following`); `move` is
+    the Newton step of the duals.
+    """
+    decreasing = move < 0
+    max_length = (
+        float((-dual[decreasing] / move[decreasing]).min())
+        if decreasing.any()
+        else np.inf
+    )
+    updated = np.maximum(dual + min(1.0, 0.99 * max_length) * move, 1e-12)
+    central = barrier / -following.limits
+    return np.clip(updated, central / 10, 10 * central)
+
+
+def _bfgs_update(
+    hessian: Array,
+    current: Linearisation,
+    following: Linearisation,
+    dual: Array,
+    *,
+    first: bool,
+) -> Array:
+    """Damped BFGS update of the Hessian of the Lagrangian.
+
+    Args:
+        hessian: Approximate Hessian before the step, (k, k).
+        current: Linearisation before the step.
+        following: Linearisation after the step.
+        dual: Dual variables of the limits, (m,).
+        first: True for the first step, which sets the scale.
+    """
+    step = following.x - current.x
+    change = following.gradient + following.jacobian.rmatvec(dual)
+    change -= current.gradient + current.jacobian.rmatvec(dual)
     if first:
-        curvature = curvature * max(
-            abs(float(change @ step)) / float(step @ step), 1e-3
-        )
-    along = curvature @ step
-    own, found = float(step @ along), float(change @ step)
-    share = 1.0 if found >= 0.2 * own else 0.8 * own / (own - found)
-    damped = share * change + (1 - share) * along
-    lost, won = np.outer(along, along) / own, np.outer(damped, damped)
-    return curvature - lost + won / float(damped @ step)
+        hessian = hessian * max(abs(float(change @ step)) / float(step @ step), 1e-3)
+    hessian_step = hessian @ step
+    step_curvature, gradient_curvature = (
+        float(step @ hessian_step),
+        float(change @ step),
+    )
+    share = (
+        1.0
+        if gradient_curvature >= 0.2 * step_curvature
+        else 0.8 * step_curvature / (step_curvature - gradient_curvature)
+    )
+    damped = share * change + (1 - share) * hessian_step
+    removed, added = (
+        np.outer(hessian_step, hessian_step) / step_curvature,
+        np.outer(damped, damped),
+    )
+    return hessian - removed + added / float(damped @ step)
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """How unknowns make a motion: one block of 2 harmonics + 1 unknowns a joint.
+    """Linear map from unknowns to a Fourier series, with `p = 2 harmonics + 1` unknowns per joint.
 
     Attributes:
-        limits: Of the robot.
-        fundamental: Frequency at which the motion repeats [Hz].
+        limits: Limits of the joints.
+        fundamental: Fundamental frequency [Hz].
         harmonics: Number of harmonics.
-        instants: Samples G of a period, more than twice the harmonics.
-        margin: Share of the limits that may be used.
+        instants: Number G of samples of a period, more than twice the harmonics.
+        margin: Usable fraction of the limits.
     """
 
     limits: Limits
@@ -194,7 +254,7 @@ class Series:
 
     @cached_property
     def times(self) -> Array:
-        """The instants, (G,) [s]."""
+        """Sample times of a period, (G,) [s]."""
         return np.arange(self.instants) / (self.instants * self.fundamental)
 
     @property
@@ -204,95 +264,108 @@ class Series:
 
     @property
     def width(self) -> int:
-        """Unknowns p of a joint."""
+        """Number p of unknowns per joint."""
         return 2 * self.harmonics + 1
 
     @cached_property
     def units(self) -> Array:
-        """What an unknown of one is as a coefficient, (n, p) [rad or m]."""
-        pulses = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
-        swing = np.tile(self.limits.velocity[:, None] / pulses, 2)
+        """Fourier coefficients (offset, sines, cosines) per unit unknown, (n, p) [rad or m]."""
+        frequencies = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
+        amplitudes = np.tile(self.limits.velocity[:, None] / frequencies, 2)
         return np.hstack(
-            [self.limits.half[:, None], np.minimum(swing, self.limits.half[:, None])]
+            [
+                self.limits.half[:, None],
+                np.minimum(amplitudes, self.limits.half[:, None]),
+            ]
         )
 
     @cached_property
-    def motion_of(self) -> Array:
-        """What q, qd and qdd have of each unknown, (n, 3, G, p)."""
-        basis = [
-            terms(self.fundamental, self.harmonics, self.times, order)
+    def basis(self) -> Array:
+        """Basis functions that map the unknowns to q, qd and qdd, (n, 3, G, p)."""
+        order_bases = [
+            fourier_basis(self.fundamental, self.harmonics, self.times, order)
             for order in range(3)
         ]
-        return np.stack(basis)[None] * self.units[:, None, None, :]
+        return np.stack(order_bases)[None] * self.units[:, None, None, :]
 
     @cached_property
     def linear(self) -> Array:
-        """Shares of position, velocity and acceleration limits, (n, 3 G, p), the middle aside."""
+        """Basis functions of q, qd and qdd divided by the joint limits, (n, 3 G, p).
+
+        Positions are divided by half the width of the position range.
+        """
         limits = self.limits
         limit = np.stack([limits.half, limits.velocity, limits.acceleration], axis=1)
-        return (self.motion_of / limit[:, :, None, None]).reshape(
+        return (self.basis / limit[:, :, None, None]).reshape(
             self.joints, -1, self.width
         )
 
     def motion(self, x: Array) -> Fourier:
-        """The motion of unknowns, (n p,)."""
+        """Fourier series of a vector of unknowns, (n p,)."""
         coefficients = self.units * x.reshape(self.joints, self.width)
-        return Fourier.of(self.fundamental, coefficients)
+        return Fourier.from_coefficients(self.fundamental, coefficients)
 
     def unknowns(self, motion: Fourier) -> Array:
-        """The unknowns of a motion of these frequencies, (n p,)."""
+        """Vector of unknowns of a Fourier series with the same frequencies, (n p,)."""
         return (motion.coefficients / self.units).ravel()
 
-    def at(self, x: Array) -> Motion:
-        """The motion at the instants."""
-        each = x.reshape(self.joints, self.width)
-        return Motion(self.times, *np.einsum("jdgp,jp->dgj", self.motion_of, each))
+    def sampled_motion(self, x: Array) -> Motion:
+        """Motion at the sample times from a vector of unknowns, (n p,)."""
+        blocks = x.reshape(self.joints, self.width)
+        return Motion(self.times, *np.einsum("jdgp,jp->dgj", self.basis, blocks))
 
-    def linear_values(self, x: Array) -> Array:
-        """Shares of the linear limits less what is allowed, (n, 2, 3, G): above, below.
+    def limit_values(self, x: Array) -> Array:
+        """Normalised excess over upper and lower limits of the joint motion, (n, 2, 3, G).
 
-        What is allowed at the instants is so much less that the margin holds between them, too.
-        """
-        share = self.linear @ x.reshape(self.joints, self.width, 1)
-        share = share.reshape(self.joints, 3, self.instants)
-        share[:, 0] -= (self.limits.middle / self.limits.half)[:, None]
-        most = self.margin * np.cos(np.pi * self.harmonics / self.instants)
-        return np.asarray(np.stack([share, -share], axis=1) - most)
-
-    def pulled(self, slopes: Array) -> Array:
-        """Derivatives by the unknowns, (..., n p), of derivatives by motion, (..., 3 n, G).
-
-        Summed over the instants.
-        """
-        lead = slopes.shape[:-2]
-        by_joint = slopes.reshape(*lead, 3, self.joints, self.instants)
-        found = np.einsum("...djg,jdgp->...jp", by_joint, self.motion_of)
-        return np.asarray(found.reshape(*lead, -1))
-
-    def each(self, slopes: Array, instants: NDArray[np.int64]) -> Array:
-        """The same instant by instant: of (r, 3 n) at the instants (r,), (r, n p).
+        The limits are reduced so that they hold between the samples, too.
 
         Args:
-            slopes: Derivatives by motion, (r, 3 n).
-            instants: Number of the instant of each, (r,).
+            x: Vector of unknowns, (n p,).
+        """
+        shares = self.linear @ x.reshape(self.joints, self.width, 1)
+        shares = shares.reshape(self.joints, 3, self.instants)
+        shares[:, 0] -= (self.limits.middle / self.limits.half)[:, None]
+        bound = self.margin * np.cos(np.pi * self.harmonics / self.instants)
+        return np.asarray(np.stack([shares, -shares], axis=1) - bound)
+
+    def gradient_by_unknowns(self, slopes: Array) -> Array:
+        """Gradient with respect to the unknowns, by the chain rule, summed over instants.
+
+        Args:
+            slopes: Derivatives with respect to q, then qd, then qdd, (..., 3 n, G).
+
+        Returns:
+            Derivatives with respect to the unknowns, (..., n p).
+        """
+        leading_shape = slopes.shape[:-2]
+        by_joint = slopes.reshape(*leading_shape, 3, self.joints, self.instants)
+        gradient = np.einsum("...djg,jdgp->...jp", by_joint, self.basis)
+        return np.asarray(gradient.reshape(*leading_shape, -1))
+
+    def jacobian_rows(self, slopes: Array, instants: NDArray[np.int64]) -> Array:
+        """Gradients of r functions of single instants with respect to the unknowns, (r, n p).
+
+        Args:
+            slopes: Derivatives of the functions with respect to q, then qd, then qdd, (r, 3 n).
+            instants: Index of the instant of each function, (r,).
         """
         by_joint = slopes.reshape(-1, 3, self.joints)
-        found = np.zeros((len(slopes), self.joints, self.width))
+        rows = np.zeros((len(slopes), self.joints, self.width))
         for order in range(3):
-            there = self.motion_of[:, order, instants].transpose(1, 0, 2)  # (r, n, p)
-            found += by_joint[:, order, :, None] * there
-        return found.reshape(len(slopes), -1)
+            basis = self.basis[:, order, instants].transpose(1, 0, 2)  # (r, n, p)
+            rows += by_joint[:, order, :, None] * basis
+        return rows.reshape(len(slopes), -1)
 
 
 @dataclass(frozen=True, eq=False)
 class BlockJacobian:
-    """Derivatives of all limits: blocks joint by joint for linear ones, rows for others.
+    """Jacobian of all limits: blocks per joint for linear limits, dense rows for the others.
 
     Attributes:
-        linear: (n, 3 G, p); each counts twice, above and below.
-        others: How many other limits there are.
-        place: Which of them have derivatives, (r,): a pair of bodies that is far apart has none.
-        dense: Those, (r, n p).
+        linear: Blocks of the linear limits, (n, 3 G, p), which apply with both signs.
+        others: Number of other limits.
+        place: Indices of the other limits with non-zero derivatives, (r,).
+        dense: Rows of the Jacobian for these limits, (r, n p).
     """
 
     linear: Array
@@ -300,102 +373,124 @@ class BlockJacobian:
     place: NDArray[np.int64]
     dense: Array
 
-    def times(self, x: Array) -> Array:
-        """Of a direction, (n p,): how all limits change."""
+    def matvec(self, x: Array) -> Array:
+        """Product of the Jacobian with a vector: changes of the m limits, (m,).
+
+        Args:
+            x: Change of the unknowns, (n p,).
+        """
         n, _, p = self.linear.shape
-        along = (self.linear @ x.reshape(n, p, 1))[:, :, 0]
-        rest = np.zeros(self.others)
-        rest[self.place] = self.dense @ x
-        return np.concatenate([np.stack([along, -along], axis=1).ravel(), rest])
+        linear_changes = (self.linear @ x.reshape(n, p, 1))[:, :, 0]
+        other_changes = np.zeros(self.others)
+        other_changes[self.place] = self.dense @ x
+        return np.concatenate(
+            [np.stack([linear_changes, -linear_changes], axis=1).ravel(), other_changes]
+        )
 
-    def transposed(self, weights: Array) -> Array:
-        """Sum of the limits' derivatives with weights, (n p,)."""
-        (above, below), rest = self._split(weights)
+    def rmatvec(self, weights: Array) -> Array:
+        """Product of the transposed Jacobian with a vector, (n p,).
+
+        Args:
+            weights: Weight of each limit, (m,).
+        """
+        (above, below), other_weights = self._split_weights(weights)
         blocks = (above - below)[:, None] @ self.linear
-        return np.asarray(blocks.ravel() + rest @ self.dense)
+        return np.asarray(blocks.ravel() + other_weights @ self.dense)
 
-    def squared(self, weights: Array) -> Array:
-        """J' diag(weights) J, (n p, n p)."""
-        (above, below), rest = self._split(weights)
+    def weighted_gram(self, weights: Array) -> Array:
+        """Weighted Gram matrix J' diag(weights) J, (n p, n p).
+
+        Args:
+            weights: Weight of each limit, (m,).
+        """
+        (above, below), other_weights = self._split_weights(weights)
         blocks = self.linear.transpose(0, 2, 1) @ (
             (above + below)[:, :, None] * self.linear
         )
         return np.asarray(
-            block_diag(*blocks) + self.dense.T @ (rest[:, None] * self.dense)
+            block_diag(*blocks) + self.dense.T @ (other_weights[:, None] * self.dense)
         )
 
-    def _split(self, weights: Array) -> tuple[Array, Array]:
-        """Weights above and below, (2, n, 3 G), and those of the others with derivatives, (r,)."""
+    def _split_weights(self, weights: Array) -> tuple[Array, Array]:
+        """Weights of upper and lower linear limits, (2, n, 3 G), and of other limits, (r,)."""
         n, rows, _ = self.linear.shape
-        first, rest = np.split(weights, [2 * n * rows])
-        return first.reshape(n, 2, rows).swapaxes(0, 1), rest[self.place]
+        first, other_weights = np.split(weights, [2 * n * rows])
+        return first.reshape(n, 2, rows).swapaxes(0, 1), other_weights[self.place]
 
 
 @dataclass(frozen=True, eq=False)
 class InteriorPointProblem:
-    """Design of a motion as a problem for the interior point method.
+    """Design of a motion as a nonlinear program for the interior-point method.
 
     Attributes:
-        series: How unknowns make a motion.
-        information: What is wanted of it.
-        terms: Limits besides those of the series.
-        rows: Of the models that information and limits look at.
-        stencil: For derivatives.
-        names: Of the joints.
+        series: Map from unknowns to the motion.
+        information: Objective, an optimality criterion of the base parameters.
+        terms: Nonlinear limits of forces and clearances.
+        rows: Sampled rows of the signals that objective and limits use.
+        stencil: Finite-difference stencil of the derivatives.
+        names: Names of the joints.
     """
 
     series: Series
     information: DesignObjective
     terms: Sequence[ForceTerm | ClearanceTerm]
-    rows: Mapping[Model, SampledRows]
+    rows: Mapping[Signal, SampledRows]
     stencil: Stencil
     names: tuple[str, ...]
 
-    def inside(self, x: Array) -> Inside:
-        """Criterion and limits at x."""
+    def evaluate(self, x: Array) -> Evaluation:
+        """Values of objective and limits at a point, (n p,)."""
         samples = self._samples(x, None)
-        return Inside(self.information.value(samples), self._limits(x, samples))
+        return Evaluation(self.information.value(samples), self._limits(x, samples))
 
-    def point(self, x: Array) -> Point:
-        """The same with derivatives."""
+    def linearise(self, x: Array) -> Linearisation:
+        """Values and derivatives of objective and limits at a point, (n p,)."""
         samples = self._samples(x, self.stencil)
-        return Point(
+        return Linearisation(
             x=x,
             value=self.information.value(samples),
-            gradient=self.series.pulled(self.information.slopes(samples)),
+            gradient=self.series.gradient_by_unknowns(self.information.slopes(samples)),
             limits=self._limits(x, samples),
             jacobian=self._jacobian(samples),
         )
 
-    def worst(self, x: Array) -> tuple[str, float, float]:
-        """The limit that is nearest or most exceeded: its label, instant [s], share over it."""
+    def most_critical_limit(self, x: Array) -> tuple[str, float, float]:
+        """Label, time [s] and value of the largest limit at a point.
+
+        The value is the excess over the usable fraction of the limit; negative if respected.
+        """
         instants = self.series.instants
-        linear = self.series.linear_values(x).max(axis=1)
+        joint_values = self.series.limit_values(x).max(axis=1)
         samples = self._samples(x, None)
         kinds = ("position", "velocity", "acceleration")
         labels = [f"{kind} of '{name}'" for name in self.names for kind in kinds]
-        values = [linear.reshape(-1, instants)]
+        values = [joint_values.reshape(-1, instants)]
         for term in self.terms:
             labels += term.labels
             values.append(term.values(samples))
-        every = np.concatenate(values)
-        k, g = np.unravel_index(int(every.argmax()), every.shape)
-        return labels[k], float(self.series.times[g]), float(every[k, g])
+        all_values = np.concatenate(values)
+        k, g = np.unravel_index(int(all_values.argmax()), all_values.shape)
+        return labels[k], float(self.series.times[g]), float(all_values[k, g])
 
-    def _jacobian(self, samples: Samples) -> BlockJacobian:
+    def _jacobian(self, samples: KernelForces) -> BlockJacobian:
+        """Jacobian of all limits with respect to the unknowns."""
         width = 3 * self.series.joints
         by_motion = [
             term.slopes(samples).transpose(0, 2, 1).reshape(-1, width)
             for term in self.terms
         ]
-        every = np.concatenate([np.zeros((0, width)), *by_motion])
-        place = np.flatnonzero(every.any(axis=1))
-        dense = self.series.each(every[place], place % self.series.instants)
-        return BlockJacobian(self.series.linear, len(every), place, dense)
+        all_slopes = np.concatenate([np.zeros((0, width)), *by_motion])
+        indices = np.flatnonzero(all_slopes.any(axis=1))
+        dense = self.series.jacobian_rows(
+            all_slopes[indices], indices % self.series.instants
+        )
+        return BlockJacobian(self.series.linear, len(all_slopes), indices, dense)
 
-    def _samples(self, x: Array, stencil: Stencil | None) -> Samples:
-        return Samples(self.series.at(x), self.rows, stencil)
+    def _samples(self, x: Array, stencil: Stencil | None) -> KernelForces:
+        """Samples of the motion at a point; derivatives require a stencil."""
+        return KernelForces(self.series.sampled_motion(x), self.rows, stencil)
 
-    def _limits(self, x: Array, samples: Samples) -> Array:
+    def _limits(self, x: Array, samples: KernelForces) -> Array:
+        """Values of all limits: linear limits of the joints, then other terms, (m,)."""
         values = [term.values(samples).ravel() for term in self.terms]
-        return np.concatenate([self.series.linear_values(x).ravel(), *values])
+        return np.concatenate([self.series.limit_values(x).ravel(), *values])

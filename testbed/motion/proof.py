@@ -1,4 +1,8 @@
-"""Proof that a periodic motion respects its limits at every moment; margins over time."""
+"""Proof that a periodic motion respects its limits at every instant; margins over time.
+
+Between samples, values are bounded by means of their derivatives, and distances by conservative
+advancement.
+"""
 
 from __future__ import annotations
 
@@ -10,71 +14,74 @@ from typing import Protocol
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import with_properties
+from testbed.core.base.codec import schema_with_properties
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.robot.tree import Tree
-from testbed.motion.clearance import FAR, DistanceMeter
-from testbed.motion.collision_model import CollisionModel, levers
+from testbed.motion.clearance import MAX_DISTANCE, DistanceMeter
+from testbed.motion.collision_model import CollisionModel, distance_rate_bounds
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits
-from testbed.motion.samples import Computed
-from testbed.motion.terms import ForceTerm, force_bounds
+from testbed.motion.samples import NewtonEulerForces
+from testbed.motion.terms import ForceTerm, force_curvature_bounds
 
-RATE = 1000.0
-"""Samples a second at which forces are looked at first [Hz]."""
-DOUBT = 2e-3
-"""What may be lost between samples, as a share of a limit; else twice as many are taken."""
-MOST = 100_000
-"""Samples at most."""
-DENSE = 200
-"""Samples a harmonic for positions, velocities, accelerations: sup / largest is 1.0001."""
-SPANS = 50
-"""Spans of a period in which bounds are found apart."""
-GLANCE = 60
-"""Instants of a period that are looked at before a proof is tried."""
-SHORTEST = 1e-5
-"""Advancement by less than this part of a period is none."""
-STILL = 1e-9
-"""Bodies that do not approach each other are taken to do so with this speed [m/s]."""
-TOUCH = 1e-9
-"""What a distance lacks that could not be shown to be kept [m]."""
+FORCE_SAMPLE_RATE = 1000.0
+"""Initial sampling rate of forces [Hz]."""
+MAX_INTERPOLATION_ERROR = 2e-3
+"""Largest interpolation error of a force, relative to its limit; the sampling rate is doubled for
+larger errors."""
+MAX_SAMPLES = 100_000
+"""Largest number of force samples."""
+SAMPLES_PER_HARMONIC = 200
+"""Samples per harmonic of positions, velocities and accelerations; the supremum is then at most
+1.0001 times the largest sample."""
+INTERVALS = 50
+"""Number of intervals of a period with separate bounds of the derivatives."""
+QUICK_SAMPLES = 60
+"""Number of samples of a period in the check before a proof."""
+MIN_ADVANCE = 1e-5
+"""Smallest time step of conservative advancement, relative to the period; the proof fails for
+smaller steps."""
+MIN_APPROACH_SPEED = 1e-9
+"""Smallest assumed approach speed of two bodies [m/s]."""
+UNPROVEN_DEFICIT = 1e-9
+"""Shortfall of the distance that is reported for an unproven clearance [m]."""
 
-CLOSE = 0.01
-"""A limit with less than this share of it left is one that binds."""
+MAX_BINDING_SHARE = 0.01
+"""Largest remaining fraction of a limit that is reported as binding."""
 
-CLOSE_BY = 0.01
-"""Likewise for distances beyond the clearance [m]."""
+MAX_BINDING_DISTANCE = 0.01
+"""Largest distance beyond a clearance that is reported as binding [m]."""
 
 
 class Path(Protocol):
-    """A motion over a time, with bounded derivatives."""
+    """Motion over a finite time with bounded derivatives."""
 
     @property
     def duration(self) -> float:
-        """From its beginning, t = 0, to its end [s]."""
+        """Duration of the motion, which starts at t = 0 [s]."""
 
     @property
     def fifth_derivative(self) -> Array:
-        """A bound of the magnitude of the fifth derivative, (n,)."""
+        """Upper bounds of the absolute fifth time derivatives of the positions, (n,)."""
 
     def derivative(self, t: Array, order: int) -> Array:
-        """A derivative of the positions, of order 0 to 4, at times t, (M, n)."""
+        """Time derivatives of order 0 to 4 of the positions at M times t, (M, n)."""
 
     def at(self, t: Array) -> Motion:
-        """The motion at times t, (M,) [s]."""
+        """Positions, velocities and accelerations at times t, (M,) [s]."""
 
 
 @dataclass(frozen=True)
 class Margin:
-    """What a motion leaves of one limit.
+    """Proven margin of a motion to one limit.
 
     Attributes:
-        label: What is limited.
-        left: What is proven to be left of what may be used, a share, or for clearance in metres;
-            negative where it is exceeded, or where that could not be excluded.
-        instant: When it is nearest to its limit [s].
-        unit: "" for a share, "m" for a distance.
+        label: Name of the limit.
+        left: Proven remaining fraction of the limit, or distance beyond the clearance [m]; negative
+            if the limit is exceeded or not proven to be respected.
+        instant: Time of the smallest margin [s].
+        unit: "" for a fraction, "m" for a distance.
     """
 
     label: str
@@ -83,19 +90,19 @@ class Margin:
     unit: str = ""
 
     @property
-    def holds(self) -> bool:
-        """Whether the limit is respected at every moment."""
+    def is_respected(self) -> bool:
+        """True if the limit is respected at every instant."""
         return self.left >= 0
 
     @property
     def words(self) -> str:
-        """For people: how much is left, or by how much it is exceeded, and when."""
+        """Sentence for a report, with label, remaining or missing amount, and time."""
         size = (
             f"{abs(self.left) * 1000:.3g} mm" if self.unit else f"{abs(self.left):.2%}"
         )
         state = (
             f"{size} left"
-            if self.holds
+            if self.is_respected
             else f"exceeded by {size} or more, or not shown to be kept"
         )
         return f"{self.label}: {state} at t = {self.instant:.3f} s"
@@ -103,117 +110,143 @@ class Margin:
 
 @dataclass(frozen=True)
 class Proof:
-    """Margins of all limits.
+    """Margins of a motion to all limits.
 
     Attributes:
-        margins: One a limit.
-        instants: Samples at which forces were computed.
-        postures: Postures at which distances were measured.
+        margins: Margin of each limit.
+        instants: Number of samples at which forces were computed.
+        postures: Number of postures at which distances were computed.
     """
 
     margins: tuple[Margin, ...]
     instants: int
     postures: int
 
-    __get_pydantic_core_schema__ = with_properties("holds", "binding")
+    __get_pydantic_core_schema__ = schema_with_properties("is_valid", "binding")
 
     @property
-    def holds(self) -> bool:
-        """Whether the motion respects all limits at every moment."""
-        return all(margin.holds for margin in self.margins)
+    def is_valid(self) -> bool:
+        """True if the motion respects all limits at every instant."""
+        return all(margin.is_respected for margin in self.margins)
 
     @property
     def binding(self) -> tuple[str, ...]:
-        """Limits that the motion comes up to."""
+        """Names of the limits that the motion nearly reaches or exceeds.
+
+        A limit is binding if its margin is below MAX_BINDING_SHARE, or below MAX_BINDING_DISTANCE
+        for a clearance.
+        """
         return tuple(
-            m.label for m in self.margins if m.left < (CLOSE_BY if m.unit else CLOSE)
+            margin.label
+            for margin in self.margins
+            if margin.left
+            < (MAX_BINDING_DISTANCE if margin.unit else MAX_BINDING_SHARE)
         )
 
     @property
-    def worst(self) -> Margin:
-        """The limit with the least left."""
+    def smallest_margin(self) -> Margin:
+        """Margin with the smallest `left`; fractions and distances [m] are compared as numbers."""
         return min(self.margins, key=lambda margin: margin.left)
 
 
 @dataclass(frozen=True, eq=False)
-class Rules:
-    """What a motion must respect.
+class MotionConstraints:
+    """Limits that a motion must respect.
 
     Attributes:
-        tree: The robot, its inertias and friction an a-priori model.
-        limits: Of its joints.
-        margin: Share of them that may be used.
-        terms: Limits of efforts and plate.
-        collision: Shapes and the pairs that are watched; None if nothing is.
-        clearance: Distance that each pair keeps, (k,) [m].
-        diagnostics: What could not be watched.
+        tree: The robot, with a-priori inertias and friction.
+        limits: Limits of the joints.
+        margin: Usable fraction of the limits of joint positions, velocities and accelerations.
+        force_limits: Limits of motor efforts, plate and force sensors.
+        collision: Shapes and watched pairs of bodies, whose distances are limited; None if no pair
+            is watched.
+        clearance: Required distances of the k watched pairs, (k,) [m].
+        diagnostics: Diagnostics of pairs that are not watched or have a reduced clearance.
     """
 
     tree: Tree
     limits: Limits
     margin: float
-    terms: Sequence[ForceTerm]
+    force_limits: Sequence[ForceTerm]
     collision: CollisionModel | None
     clearance: Array
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
-def prove(motion: Fourier, rules: Rules) -> Proof:
-    """What a motion is proven to leave of every limit.
+def prove(motion: Fourier, rules: MotionConstraints) -> Proof:
+    """Compute proven margins of a motion to all limits.
 
     Args:
-        motion: The motion.
-        rules: What it must respect.
+        motion: Periodic motion.
+        rules: Limits of the motion.
     """
     forces, instants = force_margins(motion, rules)
-    distances, postures = _distances(motion, rules)
-    return Proof((*_linear(motion, rules), *forces, *distances), instants, postures)
+    distances, postures = _distance_margins(motion, rules)
+    return Proof(
+        (*_joint_margins(motion, rules), *forces, *distances), instants, postures
+    )
 
 
-def seems_to_hold(motion: Fourier, rules: Rules) -> bool:
-    """Whether all limits are kept at some instants: no proof, but quick."""
-    here = Computed(rules.tree, motion.at(motion.instants(GLANCE)))
-    shares = _shares(here.motion, rules.limits)
+def respects_limits_at_samples(motion: Fourier, rules: MotionConstraints) -> bool:
+    """Test whether a motion respects all limits at QUICK_SAMPLES instants of a period.
+
+    This necessary condition allows a quick rejection before a proof.
+
+    Args:
+        motion: Periodic motion.
+        rules: Limits of the motion.
+    """
+    samples = NewtonEulerForces(rules.tree, motion.at(motion.instants(QUICK_SAMPLES)))
+    shares = _limit_shares(samples.motion, rules.limits)
     if any((share > rules.margin).any() for share in shares.values()):
         return False
-    if any((term.values(here) > 0).any() for term in rules.terms):
+    if any((term.values(samples) > 0).any() for term in rules.force_limits):
         return False
     if rules.collision is None:
         return True
-    meter = DistanceMeter(rules.collision, rules.clearance + TOUCH)
-    return bool((meter.measure(here.motion.q).values > rules.clearance).all())
+    meter = DistanceMeter(rules.collision, rules.clearance + UNPROVEN_DEFICIT)
+    return bool((meter.measure(samples.motion.q).values > rules.clearance).all())
 
 
-def _linear(motion: Fourier, rules: Rules) -> list[Margin]:
-    """Positions, velocities, accelerations."""
-    count = max(spans_of(motion.period), DENSE * motion.harmonics)
-    slack, times = np.cos(np.pi * motion.harmonics / count), motion.instants(count)
-    found = []
-    for kind, shares in _shares(motion.at(times), rules.limits).items():
+def _joint_margins(motion: Fourier, rules: MotionConstraints) -> list[Margin]:
+    """Margins of joint positions, velocities and accelerations.
+
+    The supremum of an absolute trigonometric polynomial is at most the largest absolute sample
+    divided by cos(pi harmonics / samples).
+    """
+    count = max(
+        force_sample_count(motion.period), SAMPLES_PER_HARMONIC * motion.harmonics
+    )
+    cosine, times = np.cos(np.pi * motion.harmonics / count), motion.instants(count)
+    margins = []
+    for kind, shares in _limit_shares(motion.at(times), rules.limits).items():
         labels = [f"{kind} of '{name}'" for name in rules.tree.names]
-        found += margins_of(labels, rules.margin - shares.T / slack, times)
-    return found
+        margins += smallest_margins(labels, rules.margin - shares.T / cosine, times)
+    return margins
 
 
-def margins_of(
+def smallest_margins(
     labels: Iterable[str], left: Array, times: Array, unit: str = ""
 ) -> list[Margin]:
-    """Margins of limits, each at the instant when least is left.
+    """Margins of limits from values over time, each at the time of its minimum.
 
     Args:
-        labels: What is limited, (k,).
-        left: What is left at each instant, (k, M).
-        times: (M,) [s].
-        unit: "" for shares, "m" for distances.
+        labels: Names of the k limits.
+        left: Remaining fraction or distance at M times, (k, M).
+        times: Times, (M,) [s].
+        unit: "" for fractions, "m" for distances.
     """
     return [
-        Margin(label, float(each.min()), float(times[each.argmin()]), unit)
-        for label, each in zip(labels, left, strict=True)
+        Margin(label, float(values.min()), float(times[values.argmin()]), unit)
+        for label, values in zip(labels, left, strict=True)
     ]
 
 
-def _shares(motion: Motion, limits: Limits) -> dict[str, Array]:
-    """Positions, velocities and accelerations over their limits, by kind, (M, n) each."""
+def _limit_shares(motion: Motion, limits: Limits) -> dict[str, Array]:
+    """Ratios of absolute positions, velocities and accelerations to limits, by kind, (M, n).
+
+    Positions are relative to the middle of the position range.
+    """
     return {
         "position": np.abs(motion.q - limits.middle) / limits.half,
         "velocity": np.abs(motion.qd) / limits.velocity,
@@ -221,113 +254,142 @@ def _shares(motion: Motion, limits: Limits) -> dict[str, Array]:
     }
 
 
-def force_margins(path: Path, rules: Rules) -> tuple[list[Margin], int]:
-    """What a path leaves of efforts, wrench and centre of pressure, and samples taken.
+def force_margins(path: Path, rules: MotionConstraints) -> tuple[list[Margin], int]:
+    """Margins of efforts, wrench and centre of pressure on a path, and number of samples.
+
+    The error of piecewise linear interpolation between samples h apart is at most h^2 / 8 times the
+    bound of the second derivative; this error is subtracted from the margin. The sampling rate is
+    doubled until the error is at most MAX_INTERPOLATION_ERROR or the number of samples reaches
+    MAX_SAMPLES.
 
     Args:
-        path: A motion with bounded derivatives.
-        rules: What it must respect.
+        path: Motion with bounded derivatives.
+        rules: Limits of the motion.
     """
-    count = spans_of(path.duration)
+    count = force_sample_count(path.duration)
     while True:
-        bounds = force_bounds(rules.tree, suprema(path, count))
-        lost = [
-            (path.duration / count) ** 2 / 8 * t.curvatures(bounds) for t in rules.terms
+        bounds = force_curvature_bounds(rules.tree, derivative_bounds(path, count))
+        interpolation_errors = [
+            (path.duration / count) ** 2 / 8 * term.curvatures(bounds)
+            for term in rules.force_limits
         ]
         if (
-            max((part.max(initial=0) for part in lost), default=0) <= DOUBT
-            or 2 * count > MOST
+            max((error.max(initial=0) for error in interpolation_errors), default=0)
+            <= MAX_INTERPOLATION_ERROR
+            or 2 * count > MAX_SAMPLES
         ):
             break
         count *= 2
     times = np.arange(count + 1) * path.duration / count
-    samples = Computed(rules.tree, path.at(times))
-    found: list[Margin] = []
-    for term, excess in zip(rules.terms, lost, strict=True):
+    samples = NewtonEulerForces(rules.tree, path.at(times))
+    margins: list[Margin] = []
+    for term, error in zip(rules.force_limits, interpolation_errors, strict=True):
         values = term.values(samples)
-        ends = np.maximum(values[:, :-1], values[:, 1:])
-        ends += np.repeat(excess, count // SPANS, axis=1)
-        found += margins_of(term.labels, -ends, times)
-    return found, count
+        interval_maxima = np.maximum(values[:, :-1], values[:, 1:])
+        interval_maxima += np.repeat(error, count // INTERVALS, axis=1)
+        margins += smallest_margins(term.labels, -interval_maxima, times)
+    return margins, count
 
 
-def spans_of(duration: float) -> int:
-    """Samples of a path, a multiple of its spans."""
-    return SPANS * int(np.ceil(RATE * duration / SPANS))
-
-
-def suprema(path: Path, count: int) -> Array:
-    """Bounds of |q| and its next four derivatives in spans of a path, (5, n, SPANS).
-
-    Between samples h apart a function is at most h/2 sup|its derivative| more than at them.
+def force_sample_count(duration: float) -> int:
+    """Number of samples of a path at FORCE_SAMPLE_RATE, rounded up to a multiple of `INTERVALS`.
 
     Args:
-        path: A motion with bounded derivatives.
-        count: Samples, a multiple of SPANS.
+        duration: Duration of the path [s].
     """
-    times, span = np.arange(count + 1) * path.duration / count, count // SPANS
-    sizes = np.abs([path.derivative(times, order) for order in range(5)])
-    inner = sizes[:, :-1].reshape(5, SPANS, span, -1).max(axis=2)
-    largest = np.maximum(inner, sizes[:, span::span])  # (5, SPANS, n)
-    beyond = path.fifth_derivative
-    for each in largest[::-1]:
-        each += path.duration / count / 2 * beyond
-        beyond = each.max(axis=0)
+    return INTERVALS * int(np.ceil(FORCE_SAMPLE_RATE * duration / INTERVALS))
+
+
+def derivative_bounds(path: Path, count: int) -> Array:
+    """Upper bounds of |q| and the first four absolute derivatives, (5, n, INTERVALS).
+
+    The path is divided into INTERVALS equal intervals. Between samples h apart, a function exceeds
+    its samples by at most h / 2 times the bound of its derivative.
+
+    Args:
+        path: Motion with bounded derivatives.
+        count: Number of samples, a multiple of `INTERVALS`.
+    """
+    times, span = np.arange(count + 1) * path.duration / count, count // INTERVALS
+    values = np.abs([path.derivative(times, order) for order in range(5)])
+    inner_maxima = values[:, :-1].reshape(5, INTERVALS, span, -1).max(axis=2)
+    largest = np.maximum(inner_maxima, values[:, span::span])  # (5, SPANS, n)
+    derivative_bound = path.fifth_derivative
+    for maxima in largest[::-1]:
+        maxima += path.duration / count / 2 * derivative_bound
+        derivative_bound = maxima.max(axis=0)
     return np.asarray(largest.transpose(0, 2, 1))
 
 
-def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
-    """Least distances of pairs, and how often they were measured."""
+def _distance_margins(
+    motion: Fourier, rules: MotionConstraints
+) -> tuple[list[Margin], int]:
+    """Margins of clearances, and number of postures at which distances were computed.
+
+    Margins are computed for all pairs that come nearer than the largest clearance plus
+    MAX_DISTANCE.
+    """
     if rules.collision is None:
         return [], 0
-    meter = DistanceMeter(rules.collision, rules.clearance + FAR)
-    times, distances = _advanced(motion, rules, meter)
+    meter = DistanceMeter(rules.collision, rules.clearance + MAX_DISTANCE)
+    times, distances = _advance_conservatively(motion, rules, meter)
     labels = [
-        f"distance of {name} (over {1000 * kept:.3g} mm)"
-        for name, kept in zip(rules.collision.names, rules.clearance, strict=True)
+        f"distance of {name} (over {1000 * clearance:.3g} mm)"
+        for name, clearance in zip(rules.collision.names, rules.clearance, strict=True)
     ]
-    near = distances.min(axis=0) < meter.far
-    left = (distances - rules.clearance).T[near]
-    return margins_of(compress(labels, near), left, times, "m"), len(times)
+    is_near = distances.min(axis=0) < meter.max_distance
+    remaining = (distances - rules.clearance).T[is_near]
+    return smallest_margins(compress(labels, is_near), remaining, times, "m"), len(
+        times
+    )
 
 
-def _advanced(
-    motion: Fourier, rules: Rules, meter: DistanceMeter
+def _advance_conservatively(
+    motion: Fourier, rules: MotionConstraints, meter: DistanceMeter
 ) -> tuple[Array, Array]:
-    """Times and distances of all pairs, (P,) and (P, k), by conservative advancement.
+    """Times (P,) and distances of all pairs (P, k) from conservative advancement.
 
-    From each time to the next no pair can use up what it has beyond its clearance. The last row
-    falls short of a clearance where a next time cannot be found.
+    P is the number of time steps, k the number of pairs. Every step is short enough that no pair
+    can fall below its clearance at its largest approach speed. If a step is shorter than
+    MIN_ADVANCE times the period, the advancement ends, and the last distance is set below the
+    clearance, which is not proven.
+
+    Args:
+        motion: Periodic motion.
+        rules: Limits of the motion, with watched pairs.
+        meter: Distances in given postures.
     """
     speeds = (
-        levers(meter.collision, rules.limits)
-        @ suprema(motion, spans_of(motion.period))[1]
+        distance_rate_bounds(meter.collision, rules.limits)
+        @ derivative_bounds(motion, force_sample_count(motion.period))[1]
     )
     times, distances, time = [], [], 0.0
-    # each in its span alone
-    for number, speed in enumerate(np.maximum(speeds, STILL).T, start=1):
-        end = number * motion.period / SPANS
+    # the bounds of a span apply within it only
+    for span, speed in enumerate(np.maximum(speeds, MIN_APPROACH_SPEED).T, start=1):
+        end = span * motion.period / INTERVALS
         while time < end:
             distance = meter.measure(motion.derivative(np.array([time]), 0)[0]).values
             times.append(time)
             distances.append(distance)
-            ahead = (distance - rules.clearance) / speed
-            first = int(ahead.argmin())
-            if ahead[first] < SHORTEST * motion.period:
-                distance[first] = min(distance[first], rules.clearance[first] - TOUCH)
+            steps = (distance - rules.clearance) / speed
+            nearest = int(steps.argmin())
+            if steps[nearest] < MIN_ADVANCE * motion.period:
+                distance[nearest] = min(
+                    distance[nearest], rules.clearance[nearest] - UNPROVEN_DEFICIT
+                )
                 return np.array(times), np.array(distances)
-            time = min(time + float(ahead[first]), end)
+            time = min(time + float(steps[nearest]), end)
     return np.array(times), np.array(distances)
 
 
 @dataclass(frozen=True, eq=False)
 class Slack:
-    """What the nearest limit of a kind leaves of what may be used.
+    """Smallest margin of all limits of one kind as a function of time.
 
     Attributes:
-        label: The kind, as "velocity limits".
+        label: Kind of limit, such as "velocity limits".
         unit: "%" or "mm".
-        left: At each instant, (M,).
+        left: Remaining percentage or distance at M times, in `unit`, (M,).
     """
 
     label: str
@@ -335,30 +397,35 @@ class Slack:
     left: Array
 
 
-def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
-    """What is left of every kind of limit; of clearances, where anything comes nearer than FAR.
+def slack_by_kind(
+    motion: Fourier, rules: MotionConstraints, times: Array
+) -> list[Slack]:
+    """Smallest margin at given times for each kind of limit.
+
+    Margins between the times are not considered. Clearances are included if a pair comes nearer
+    than `MAX_DISTANCE`; pairs with a reduced clearance are excluded.
 
     Args:
-        motion: The motion.
-        rules: What it must respect.
-        times: (M,) [s].
+        motion: Periodic motion.
+        rules: Limits of the motion.
+        times: Times, (M,) [s].
     """
-    here = Computed(rules.tree, motion.at(times))
-    shares = _shares(here.motion, rules.limits)
-    left = {kind: rules.margin - used.max(axis=1) for kind, used in shares.items()}
-    left |= {
-        term.labels[0].split()[0]: -term.values(here).max(axis=0)
-        for term in rules.terms
+    samples = NewtonEulerForces(rules.tree, motion.at(times))
+    shares = _limit_shares(samples.motion, rules.limits)
+    remaining = {kind: rules.margin - used.max(axis=1) for kind, used in shares.items()}
+    remaining |= {
+        term.labels[0].split()[0]: -term.values(samples).max(axis=0)
+        for term in rules.force_limits
     }
-    found = [
-        Slack(f"{kind} limits", "%", 100 * values) for kind, values in left.items()
+    margins = [
+        Slack(f"{kind} limits", "%", 100 * values) for kind, values in remaining.items()
     ]
     if rules.collision is not None:
         meter = DistanceMeter(rules.collision)
-        wanted = rules.clearance.max()
-        # others are built nearer, and would hide all else
-        whole = rules.clearance == wanted
-        nearest = meter.measure(here.motion.q).values[:, whole].min(axis=1)
-        if (nearest < FAR).any():  # else nothing ever comes near
-            found.append(Slack("clearances", "mm", 1000 * (nearest - wanted)))
-    return found
+        clearance = rules.clearance.max()
+        # pairs with reduced clearance are always near, and would be the minimum
+        is_full = rules.clearance == clearance
+        nearest = meter.measure(samples.motion.q).values[:, is_full].min(axis=1)
+        if (nearest < MAX_DISTANCE).any():  # otherwise no pair comes near
+            margins.append(Slack("clearances", "mm", 1000 * (nearest - clearance)))
+    return margins

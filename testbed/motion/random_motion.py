@@ -1,4 +1,4 @@
-"""Feasible random motions about postures that a robot can hold, and the best of a few."""
+"""Random motions within the limits, and the proven motion with the best prediction."""
 
 from __future__ import annotations
 
@@ -8,117 +8,148 @@ from itertools import product
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import InfeasibleMotion
+from testbed.core.base.errors import NoFeasibleMotion
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.dynamics.regressor import regressor
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import barycentric, parameter_scale
 from testbed.core.robot.tree import Tree, require_tree
-from testbed.motion.clearance import CLEARANCE_UNIT, FAR, DistanceMeter
+from testbed.motion.clearance import CLEARANCE_UNIT, MAX_DISTANCE, DistanceMeter
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import Limits, limits_of, motor_efforts
-from testbed.motion.proof import Proof, Rules, prove, seems_to_hold
-from testbed.motion.samples import SMALL, Computed
+from testbed.motion.limits import Limits, joint_limits, motor_efforts
+from testbed.motion.proof import (
+    MotionConstraints,
+    Proof,
+    prove,
+    respects_limits_at_samples,
+)
+from testbed.motion.samples import MIN_RELATIVE_SCALE, NewtonEulerForces
 
 
-def rest_posture(rules: Rules) -> Array:
-    """The posture of zeros where it keeps all limits at rest, else the best of random ones.
+def rest_posture(rules: MotionConstraints) -> Array:
+    """Home posture if feasible at rest, otherwise the most feasible random posture.
+
+    The limits considered are those of motor efforts, force plate, force sensors and clearances. The
+    most feasible posture is that of `Limits.postures` with the smallest normalised excess.
 
     Args:
-        rules: Limits of efforts, plate and clearance.
+        rules: Limits of the motion.
 
     Returns:
-        (n,) [rad or m]; where no posture keeps all limits, the one that exceeds them least.
+        Joint positions, (n,) [rad or m].
     """
     postures = rules.limits.postures
-    still = Computed(rules.tree, Motion.at_rest(postures))
+    rest = NewtonEulerForces(rules.tree, Motion.at_rest(postures))
     excess = np.full(len(postures), -np.inf)
-    for term in rules.terms:
-        excess = np.maximum(excess, term.values(still).max(axis=0))
+    for term in rules.force_limits:
+        excess = np.maximum(excess, term.values(rest).max(axis=0))
     if rules.collision is not None:
-        meter = DistanceMeter(rules.collision, rules.clearance + FAR)
+        meter = DistanceMeter(rules.collision, rules.clearance + MAX_DISTANCE)
         missing = rules.clearance - meter.measure(postures).values
         excess = np.maximum(excess, missing.max(axis=1) / CLEARANCE_UNIT)
     return rules.limits.home if excess[0] < 0 else postures[excess.argmin()]
 
 
-def easiest_posture(tree: Tree, limits: Limits) -> Array:
-    """The posture that asks least of its motors, of the zeros and random ones, (n,) [rad or m].
+def least_effort_posture(tree: Tree, limits: Limits) -> Array:
+    """Posture with the smallest ratio of motor effort at rest to limit, (n,) [rad or m].
+
+    The ratio of a posture is the largest of all joints. Candidates are the home posture and random
+    postures.
 
     Args:
         tree: The robot.
-        limits: Of its joints.
+        limits: Limits of the joints.
     """
     postures = limits.postures
     share = np.abs(motor_efforts(tree, Motion.at_rest(postures))) / limits.effort
     return np.asarray(postures[share.max(axis=1).argmin()])
 
 
-MARGIN = 0.95
-"""Share of every limit that a motion may use: the rest is for the controller."""
+USABLE_SHARE = 0.95
+"""Usable fraction of every limit; the rest is reserved for the controller."""
 
-_CHECK = 500, 20  # samples of a period, and of a harmonic, on which limits are checked
-_SCORE = 100, 12  # the same on which a motion is scored
+_LIMIT_SAMPLES = (
+    500,
+    20,
+)  # smallest number of samples, and samples per harmonic, for checks of limits
+_SCORE_SAMPLES = 100, 12  # the same for scores
 
-SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
-"""Of the swing of random motions, tried one after the other until one can be proven."""
+AMPLITUDE_SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
+"""Amplitude factors of random motions, tried in turn until a motion is proven."""
 
 
 @dataclass(frozen=True, eq=False)
-class Draw:
-    """A random series as it was drawn, and how large it may be for the limits on its motion.
+class RandomSeries:
+    """Random Fourier series with the largest amplitudes that the joint limits allow.
 
     Attributes:
-        motion: With the swing that the limits allow, about no posture.
-        wish: Posture about which to swing if there is room, (n,) [rad or m].
-        limits: What may be asked of the robot.
+        motion: Series with zero offset.
+        preferred_offset: Preferred offset, (n,) [rad or m].
+        limits: Limits of the joints.
     """
 
     motion: Fourier
-    wish: Array
+    preferred_offset: Array
     limits: Limits
 
     def sized(self, share: float) -> Fourier:
-        """The motion with a share of its swing, as near to its wish as the limits allow."""
+        """Motion with scaled amplitudes, and an offset that respects the position limits.
+
+        The offset is as near to `preferred_offset` as USABLE_SHARE of the position ranges allows.
+
+        Args:
+            share: Amplitude factor.
+        """
         middle, half = self.limits.middle, self.limits.half
-        times = _times(self.motion, *_CHECK)
-        swing = np.abs(self.motion.derivative(times, 0)).max(axis=0)
-        # how far the offset may stray from the middle
-        room = MARGIN * half - share * swing
-        offset = np.clip(self.wish, middle - room, middle + room)
-        sine, cosine = (share * part for part in (self.motion.sine, self.motion.cosine))
+        times = _period_times(self.motion, *_LIMIT_SAMPLES)
+        amplitude = np.abs(self.motion.derivative(times, 0)).max(axis=0)
+        # largest distance of the offset from the middle
+        offset_range = USABLE_SHARE * half - share * amplitude
+        offset = np.clip(
+            self.preferred_offset, middle - offset_range, middle + offset_range
+        )
+        sine, cosine = (
+            share * coefficients
+            for coefficients in (self.motion.sine, self.motion.cosine)
+        )
         return Fourier(self.motion.fundamental, offset, sine, cosine)
 
 
-def sample(
+def draw_random_series(
     limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator
-) -> Draw:
-    """One random series, each joint scaled until its nearest limit.
+) -> RandomSeries:
+    """Draw a random Fourier series, with each joint scaled to its most restrictive limit.
+
+    Coefficients of harmonic k are normally distributed with standard deviation 1/k before scaling
+    to USABLE_SHARE of the limits; offsets are uniform in the middle half of the position range.
 
     Args:
-        limits: What may be asked of the robot.
-        fundamental: Frequency at which the motion repeats [Hz].
+        limits: Limits of the joints.
+        fundamental: Fundamental frequency [Hz].
         harmonics: Number of harmonics.
-        rng: Source of randomness.
+        rng: Random generator.
     """
     n, decay = len(limits.low), 1 / np.arange(1, harmonics + 1)
     sine, cosine = (rng.normal(size=(n, harmonics)) * decay for _ in range(2))
-    wish = limits.middle + rng.uniform(-0.5, 0.5, n) * limits.half
-    shape = Fourier(fundamental, np.zeros(n), sine, cosine)
-    times = _times(shape, *_CHECK)
-    largest = (limits.half, limits.velocity, limits.acceleration)
-    room = [
-        limit / np.abs(shape.derivative(times, order)).max(axis=0)
-        for order, limit in enumerate(largest)
+    preferred_offset = limits.middle + rng.uniform(-0.5, 0.5, n) * limits.half
+    unscaled = Fourier(fundamental, np.zeros(n), sine, cosine)
+    times = _period_times(unscaled, *_LIMIT_SAMPLES)
+    bounds = (limits.half, limits.velocity, limits.acceleration)
+    scale_factors = [
+        limit / np.abs(unscaled.derivative(times, order)).max(axis=0)
+        for order, limit in enumerate(bounds)
     ]
-    size = MARGIN * np.min(room, axis=0)[:, None]
-    return Draw(
-        Fourier(fundamental, np.zeros(n), size * sine, size * cosine), wish, limits
+    scale = USABLE_SHARE * np.min(scale_factors, axis=0)[:, None]
+    return RandomSeries(
+        Fourier(fundamental, np.zeros(n), scale * sine, scale * cosine),
+        preferred_offset,
+        limits,
     )
 
 
-MORE, BATCHES = 20, 2
-"""Random motions drawn once more, and how often, if none can be proven."""
+EXTRA_CANDIDATES, MAX_EXTRA_BATCHES = 20, 2
+"""Number of additional candidates per batch, and largest number of batches, if no candidate is
+proven."""
 
 
 def random_motion(
@@ -128,62 +159,72 @@ def random_motion(
     harmonics: int = 5,
     seed: np.random.Generator | int = 0,
 ) -> Fourier:
-    """One random Fourier motion, each joint scaled until its nearest limit.
+    """Draw a random Fourier motion, with each joint scaled to its most restrictive limit.
 
-    Where the motors hold the robot in none about a random posture, it is about the one that asks
-    least of them. Nothing is proven of it: `testbed excite` does that.
+    Amplitudes are reduced until the motor efforts are within USABLE_SHARE of their limits, first
+    about a random posture and, if no amplitude suffices there, about the posture with the smallest
+    efforts. The limits are checked at samples only; `testbed excite` proves them.
 
     Args:
-        tree: The robot, its inertias an a-priori model for the efforts.
-        limits: What may be asked of it; default the model file's, completed by calm ones.
-        fundamental: Frequency at which the motion repeats [Hz].
+        tree: The robot, with a-priori inertias for the efforts.
+        limits: Limits of the joints; by default the limits of the model file, completed by default
+            limits.
+        fundamental: Fundamental frequency [Hz].
         harmonics: Number of harmonics.
-        seed: Of the random numbers, or their source.
+        seed: Seed of the random numbers, or a random generator.
 
     Returns:
-        The motion; `motion.at(times)` are its samples.
+        Motion; `motion.at(times)` returns its samples.
 
     Raises:
-        InfeasibleMotion: Even slow motions exceed the efforts.
+        NoFeasibleMotion: Even slow motions exceed the effort limits.
     """
     require_tree(tree, "random_motion(robot)")
-    limits, rng = limits or limits_of(tree), np.random.default_rng(seed)
-    draw = sample(limits, fundamental, harmonics, rng)
-    motion, effort = _within_efforts(tree, draw)
+    limits, rng = limits or joint_limits(tree), np.random.default_rng(seed)
+    series = draw_random_series(limits, fundamental, harmonics, rng)
+    motion, effort_shares = _within_efforts(tree, series)
     if motion is None:
-        motion, effort = _within_efforts(
-            tree, replace(draw, wish=easiest_posture(tree, limits))
+        motion, effort_shares = _within_efforts(
+            tree, replace(series, preferred_offset=least_effort_posture(tree, limits))
         )
     if motion is not None:
         return motion
-    tight = [
+    exceeded = [
         f"{name} {share:.0%}"
-        for name, share in zip(tree.names, effort, strict=True)
-        if share > MARGIN
+        for name, share in zip(tree.names, effort_shares, strict=True)
+        if share > USABLE_SHARE
     ]
-    raise InfeasibleMotion(
+    raise NoFeasibleMotion(
         f"no random motion keeps the motor efforts within their limits (slowest try: "
-        f"{', '.join(tight)} of the limit); check the effort limits and masses in the model"
+        f"{', '.join(exceeded)} of the limit); check the effort limits and masses in the model"
     )
 
 
-def _within_efforts(tree: Tree, draw: Draw) -> tuple[Fourier | None, Array]:
-    """The largest share of a motion that the motors can do, and shares of efforts that it takes."""
-    motion = draw.motion
-    times = _times(motion, *_CHECK)
+def _within_efforts(tree: Tree, series: RandomSeries) -> tuple[Fourier | None, Array]:
+    """Largest motion of a series within the effort limits, and relative efforts, (n,).
+
+    Relative efforts are ratios of peak efforts to limits. If all motions exceed USABLE_SHARE of the
+    limits, the result is None, with the relative efforts of the smallest motion.
+
+    Args:
+        tree: The robot.
+        series: Random series.
+    """
+    motion = series.motion
+    times = _period_times(motion, *_LIMIT_SAMPLES)
     for share in 0.9 ** np.arange(30):
-        motion = draw.sized(float(share))
-        effort = (
+        motion = series.sized(float(share))
+        effort_shares = (
             np.abs(motor_efforts(tree, motion.at(times))).max(axis=0)
-            / draw.limits.effort
+            / series.limits.effort
         )
-        if (effort <= MARGIN).all():
-            return motion, effort
-    return None, effort
+        if (effort_shares <= USABLE_SHARE).all():
+            return motion, effort_shares
+    return None, effort_shares
 
 
-def best_motion(
-    rules: Rules,
+def best_random_motion(
+    rules: MotionConstraints,
     minimal: MinimalSet,
     noise: Array,
     fundamental: float,
@@ -191,84 +232,93 @@ def best_motion(
     candidates: int,
     rng: np.random.Generator,
 ) -> tuple[Fourier, float]:
-    """The proven candidate with the smallest predicted relative standard deviation.
+    """Proven random motion with the smallest predicted relative standard deviation.
 
-    Candidates that cannot be proven are left out; if none is left, all swing less and less, and
-    ever nearer to the posture of zeros, or to another where that keeps no limits.
+    The first proven candidate in the order of predicted standard deviations is taken. If no
+    candidate is proven, amplitudes are reduced towards the rest posture by AMPLITUDE_SHARES, then
+    up to MAX_EXTRA_BATCHES batches of candidates are added.
 
     Args:
-        rules: What a motion must respect.
-        minimal: The reaction set to be identified.
+        rules: Limits of the motion.
+        minimal: Base parameters of the wrench to be identified.
         noise: Standard deviation of the plate's channels, (6,) [N, N m].
-        fundamental: Frequency at which the motions repeat [Hz].
+        fundamental: Fundamental frequency [Hz].
         harmonics: Number of harmonics.
-        candidates: How many random motions to draw.
-        rng: Source of randomness.
+        candidates: Number of random motions.
+        rng: Random generator.
 
     Returns:
-        The motion, and its score (`relative_sigma`).
+        Motion, and its score (`relative_sigma`).
 
     Raises:
-        InfeasibleMotion: None can be proven, or even slow motions exceed the efforts.
+        NoFeasibleMotion: No motion is proven, or even slow motions exceed the effort limits.
     """
     tree, limits = rules.tree, rules.limits
-    nearest: Proof | None = None
-    rest: Array | None = None
-    for count in (candidates, *((MORE,) * BATCHES)):
-        sample = [
+    last_proof: Proof | None = None
+    centre: Array | None = None
+    for count in (candidates, *((EXTRA_CANDIDATES,) * MAX_EXTRA_BATCHES)):
+        motions = [
             random_motion(tree, limits, fundamental, harmonics, rng)
             for _ in range(count)
         ]
-        scores = [relative_sigma(tree, motion, minimal, noise) for motion in sample]
+        scores = [relative_sigma(tree, motion, minimal, noise) for motion in motions]
         order = np.argsort(scores, kind="stable")
-        for share, k in product(SHARES, order):
-            motion = sample[k]
+        for share, k in product(AMPLITUDE_SHARES, order):
+            motion = motions[k]
             if share < 1:
-                rest = rest_posture(rules) if rest is None else rest
-                motion = motion.scaled(share, rest)
-            if not seems_to_hold(motion, rules):
+                centre = rest_posture(rules) if centre is None else centre
+                motion = motion.scaled(share, centre)
+            if not respects_limits_at_samples(motion, rules):
                 continue
             proof = prove(motion, rules)
-            if proof.holds:
-                same = share == 1
-                return motion, scores[k] if same else relative_sigma(
+            if proof.is_valid:
+                is_unscaled = share == 1
+                return motion, scores[k] if is_unscaled else relative_sigma(
                     tree, motion, minimal, noise
                 )
-            nearest = proof
-    said = "" if nearest is None else f" (the last one: {nearest.worst.words})"
-    raise InfeasibleMotion(
-        f"none of {candidates + MORE * BATCHES} random motions keeps clear of the robot itself and "
-        f"of what stands around it, however small{said}: give limits of the joints, or leave it "
+            last_proof = proof
+    note = (
+        ""
+        if last_proof is None
+        else f" (the last one: {last_proof.smallest_margin.words})"
+    )
+    raise NoFeasibleMotion(
+        f"none of {candidates + EXTRA_CANDIDATES * MAX_EXTRA_BATCHES} random motions keeps "
+        "clear of the robot itself and "
+        f"of what stands around it, however small{note}: give limits of the joints, or leave it "
         'out with excitation.clearance = "off"'
     )
 
 
-NEARLY_AS_FAST = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Of the speed of a motion, tried one after the other for another one."""
+SPEED_SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Speed factors of an equally fast motion, tried in turn."""
 
-OTHERS = 20
-"""Motions tried at each of them."""
+TRIALS_PER_SHARE = 20
+"""Number of random phases tried for each speed factor."""
 
 
-def as_fast(motion: Fourier, rules: Rules, rng: np.random.Generator) -> Fourier:
-    """A motion with the amplitudes of another one and other phases, proven.
+def equally_fast_motion(
+    motion: Fourier, rules: MotionConstraints, rng: np.random.Generator
+) -> Fourier:
+    """Proven motion with the amplitudes of a given motion and random phases.
 
-    Over a period rms velocities and accelerations of every joint are those of that one, or a share
-    of them, at least a half, where limits ask for it.
+    The rms velocities and accelerations of every joint over a period equal those of the given
+    motion. If the limits require it, they are reduced by a common factor of SPEED_SHARES, at least
+    0.5.
 
     Args:
-        motion: The other motion.
-        rules: What both respect.
-        rng: Source of phases.
+        motion: Given motion.
+        rules: Limits of both motions.
+        rng: Random generator of the phases.
 
     Raises:
-        InfeasibleMotion: None that is half as fast respects all limits.
+        NoFeasibleMotion: No motion with at least half the speed respects all limits.
     """
-    for share, _ in product(NEARLY_AS_FAST, range(OTHERS)):
+    for share, _ in product(SPEED_SHARES, range(TRIALS_PER_SHARE)):
         other = motion.rephased(rng).scaled(share, motion.offset)
-        if seems_to_hold(other, rules) and prove(other, rules).holds:
+        if respects_limits_at_samples(other, rules) and prove(other, rules).is_valid:
             return other
-    raise InfeasibleMotion(
+    raise NoFeasibleMotion(
         "no other motion that is half as fast as it respects all limits"
     )
 
@@ -276,21 +326,41 @@ def as_fast(motion: Fourier, rules: Rules, rng: np.random.Generator) -> Fourier:
 def relative_sigma(
     tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array
 ) -> float:
-    """Predicted rms of sigma_i / |delta_i| for a hundred samples a period.
+    """Predicted rms relative standard deviation of the base parameters for 100 samples per period.
 
-    Infinite if the motion leaves a parameter unseen.
+    Standard deviations are relative to the a-priori base parameters, where small parameters are
+    raised (`parameter_scale`). The result is infinite if the motion does not identify all
+    parameters.
+
+    Args:
+        tree: The robot, with a-priori inertias.
+        motion: Periodic motion.
+        minimal: Base parameters of the wrench.
+        noise: Standard deviation of the plate's channels, (6,) [N, N m].
     """
-    times = _times(motion, *_SCORE)
+    times = _period_times(motion, *_SCORE_SAMPLES)
     phi = regressor(tree, motion.at(times), minimal) / noise[:, None]
-    scale = parameter_scale(minimal.values(barycentric(tree)), minimal.units, SMALL)
+    scale = parameter_scale(
+        minimal.values(barycentric(tree)), minimal.units, MIN_RELATIVE_SCALE
+    )
     scaled = phi.reshape(-1, minimal.count) * scale
-    spread = np.linalg.svd(scaled, compute_uv=False)
-    if spread[-1] <= 1e-12 * spread[0]:
+    singular_values = np.linalg.svd(scaled, compute_uv=False)
+    if singular_values[-1] <= 1e-12 * singular_values[0]:
         return float("inf")
-    return float(np.sqrt(np.mean(1 / spread**2) * len(times) / _SCORE[0]))
+    return float(
+        np.sqrt(np.mean(1 / singular_values**2) * len(times) / _SCORE_SAMPLES[0])
+    )
 
 
-def _times(motion: Fourier, least: int, a_harmonic: int) -> Array:
-    """Instants of a period: so many, and so many a harmonic [s]."""
-    count = max(least, a_harmonic * motion.harmonics)
+def _period_times(
+    motion: Fourier, min_samples: int, samples_per_harmonic: int
+) -> Array:
+    """Evenly spaced times of a period from 0 [s].
+
+    Args:
+        motion: Periodic motion.
+        min_samples: Smallest number of samples.
+        samples_per_harmonic: Smallest number of samples per harmonic.
+    """
+    count = max(min_samples, samples_per_harmonic * motion.harmonics)
     return np.linspace(0, motion.period, count, endpoint=False)

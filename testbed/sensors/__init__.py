@@ -1,3 +1,3 @@
-"""Errors of sensors: each simulated, estimated and taken back."""
+"""Sensor errors: simulation, estimation of their coefficients, correction of recordings."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Recordings without the sensor errors of known coefficients."""
+"""Correction of recordings for sensor errors with known coefficients."""
 
 from __future__ import annotations
 
@@ -10,59 +10,70 @@ from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import errors_of, estimable_errors
+from testbed.sensors.catalogue import coefficients_by_error, estimable_errors
 from testbed.sensors.systematic_error import SystematicError
 
 
-class Corrected(DerivedSource):
-    """Recording without sensor errors, joints in the order of the tree.
+class CorrectedSource(DerivedSource):
+    """Recording corrected for sensor errors, with joints in the order of the tree.
 
-    Samples at the ends that a delay leaves without neighbours are left out.
+    The errors are corrected one after the other, beginning at the end of the measuring chain.
+    Samples at both ends that lack neighbours for the correction of a delay are left out.
     """
 
     def __init__(
         self, source: Source, values: Mapping[type[SystematicError], Array], tree: Tree
     ) -> None:
-        """Samples of a recording, corrected.
+        """Set up the correction of a recording.
 
         Args:
-            source: As they were measured.
-            values: Of the coefficients, by sensor error.
+            source: The measured recording.
+            values: Coefficients of the sensor errors, keyed by class.
             tree: The robot.
         """
         self._source, self._values, self._tree = source, values, tree
-        self._ends = sum(e.samples_lost(own, source.rate) for e, own in values.items())
-        super().__init__(source, source.samples - 2 * self._ends, source.rate)
+        self._lost_samples = sum(
+            error.lost_sample_count(coefficients, source.rate)
+            for error, coefficients in values.items()
+        )
+        super().__init__(source, source.samples - 2 * self._lost_samples, source.rate)
         self.names = tree.names
-        self.segments = tuple((a, b - 2 * self._ends) for a, b in source.segments)
+        self.segments = tuple(
+            (a, b - 2 * self._lost_samples) for a, b in source.segments
+        )
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1, without the truth."""
-        recording = self._source.part(first, last + 2 * self._ends).ordered(self._tree)
-        number = np.arange(first, last + 2 * self._ends, dtype=np.float64)
+        """Corrected samples `first` to `last - 1`, without true signals."""
+        recording = self._source.part(first, last + 2 * self._lost_samples).ordered(
+            self._tree
+        )
+        number = np.arange(first, last + 2 * self._lost_samples, dtype=np.float64)
         time = (number - (self._source.samples - 1) / 2) / self.rate
         for error in estimable_errors():
             if error in self._values:
-                recording = error.undo(recording, self._values[error], time, self._tree)
-        return recording.part(self._ends, self._ends + last - first)
+                recording = error.corrected_recording(
+                    recording, self._values[error], time, self._tree
+                )
+        return recording.part(self._lost_samples, self._lost_samples + last - first)
 
 
 def corrected(source: Source, tree: Tree, coefficients: Mapping[str, float]) -> Source:
-    """Recording without the errors of its sensors that another recording has shown.
+    """Recording corrected for sensor errors estimated from another recording.
 
-    Those that are of one recording only, the plate's zero and drift, stay.
+    Errors that differ between recordings (zero and drift of the plate) are not corrected. If there
+    are no other errors, the recording is returned unchanged.
 
     Args:
-        source: The recording, of the same sensors.
+        source: The recording, made with the same sensors.
         tree: The robot.
-        coefficients: Values by name, such as "pose/rx"; others are neutral.
+        coefficients: Values keyed by name, such as "pose/rx"; other coefficients are neutral.
 
     Raises:
         UnknownName: No sensor error has such a coefficient.
     """
-    lasting = {
+    persistent = {
         error: np.array(values)
-        for error, values in errors_of(tree, coefficients).items()
+        for error, values in coefficients_by_error(tree, coefficients).items()
         if not error.of_one_recording
     }
-    return Corrected(source, lasting, tree) if lasting else source
+    return CorrectedSource(source, persistent, tree) if persistent else source

@@ -1,4 +1,4 @@
-"""Values of kinds from the tables of files."""
+"""Construction of sensor errors and effects from tables in files."""
 
 from __future__ import annotations
 
@@ -10,28 +10,30 @@ from testbed.sensors.catalogue import simulated_errors
 from testbed.sensors.kind_table import KindTable
 from testbed.sensors.sensor_error import SensorError
 
-Some = TypeVar("Some", bound=KindTable)
+KindT = TypeVar("KindT", bound=KindTable)
 
 
-def of_table(table: object, what: str, kinds: Mapping[str, type[Some]]) -> Some:
-    """Read a value of its table.
+def value_from_table(
+    table: object, what: str, kinds: Mapping[str, type[KindT]]
+) -> KindT:
+    """Build a value, such as a sensor error or an effect, from its table.
 
     Args:
-        table: `kind` and the kind's own keys; a value is returned as it is.
-        what: What all kinds are: "fault", "effect".
-        kinds: All kinds, by name.
+        table: Table with `kind` and the keys of this kind; a `KindTable` is returned unchanged.
+        what: Noun used in messages for all kinds: "fault" or "effect".
+        kinds: Classes, keyed by kind.
 
     Raises:
-        SettingsError: The kind or a key is not known, or a value is none that it takes.
+        SettingsError: The kind or a key is unknown, or a value is not allowed.
     """
     if isinstance(table, KindTable):
-        return cast(Some, table)
+        return cast(KindT, table)
     if not isinstance(table, Mapping) or not isinstance(table.get("kind"), str):
         example = next(iter(kinds))
         raise SettingsError(
             f'{what} is a table with its kind, as {{ kind = "{example}" }}'
         )
-    kind = kind_named(table["kind"], what, kinds)
+    kind = kind_by_name(table["kind"], what, kinds)
     values = {name: value for name, value in table.items() if name != "kind"}
     known = kind.known_keys()
     for name in values:
@@ -42,11 +44,16 @@ def of_table(table: object, what: str, kinds: Mapping[str, type[Some]]) -> Some:
     return kind(**values)
 
 
-def kind_named(name: str, what: str, kinds: Mapping[str, type[Some]]) -> type[Some]:
-    """The kind of a name.
+def kind_by_name(name: str, what: str, kinds: Mapping[str, type[KindT]]) -> type[KindT]:
+    """Class of the kind with a given name.
+
+    Args:
+        name: Name of the kind.
+        what: Noun used in messages for all kinds: "fault" or "effect".
+        kinds: Classes, keyed by kind.
 
     Raises:
-        SettingsError: There is none.
+        SettingsError: The kind is unknown.
     """
     if name not in kinds:
         unknown = UnknownName(f"kind of {what}", name, kinds)
@@ -54,18 +61,18 @@ def kind_named(name: str, what: str, kinds: Mapping[str, type[Some]]) -> type[So
     return kinds[name]
 
 
-class AsTable:
-    """How pydantic reads a value of a file's table, and writes it back.
+class TableField:
+    """Pydantic annotation of a field that is read from and written as a table.
 
     Attributes:
-        read: Makes the value of its table.
+        read: Function that builds the value from its table.
     """
 
     def __init__(self, read: Callable[[object], KindTable]) -> None:
         self.read = read
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> dict[str, Any]:
-        """A schema of pydantic-core, which is a plain dictionary."""
+        """Schema of pydantic-core, a plain dictionary."""
         del source, handler
         return {
             "type": "function-plain",
@@ -74,13 +81,13 @@ class AsTable:
         }
 
 
-def error_of(table: object) -> SensorError:
-    """Sensor error of the table that an experiment file has.
+def sensor_error_from_table(table: object) -> SensorError:
+    """Build a sensor error from its table in an experiment file.
 
     Args:
-        table: `kind` and the kind's own keys; a sensor error is returned as it is.
+        table: Table with `kind` and the keys of this kind; a sensor error is returned unchanged.
 
     Raises:
-        SettingsError: The kind or a key is not known, or a value is none that it takes.
+        SettingsError: The kind or a key is unknown, or a value is not allowed.
     """
-    return of_table(table, "fault", simulated_errors())
+    return value_from_table(table, "fault", simulated_errors())

@@ -1,11 +1,12 @@
-"""A value that a file says as a table: its kind, and keys with defaults and bounds.
+"""Base class of values configured by a table with a kind and bounded keys.
 
-A kind is one frozen dataclass: `kind` as a class variable, a field a key. Faults of instruments
-and effects in the plant are such values. What there is to say of a kind is in its docstring: a
-sentence, details, the source of the default size, and the keys.
+Each kind is a frozen dataclass with the class variable `kind` and one field per key. Sensor errors
+and effects in the plant are defined in this way. The docstring of the class describes the kind: a
+summary, details, the source of the default size, and the keys.
 
-A single number where a kind has one for every joint holds for all; a list gives each its own; in a
-table by joint name those left out have zero, or the default where zero makes no sense.
+For a key with one number per joint, a single number applies to all joints, and a list gives one
+number per joint. In a table keyed by joint name, omitted joints have zero, or the default value if
+zero is not allowed.
 """
 
 from __future__ import annotations
@@ -23,47 +24,47 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.summary_table import Value
 
-LARGEST = 1e9
-"""Sizes beyond this are a mistake; so are positive ones below its inverse."""
+MAX_MAGNITUDE = 1e9
+"""Largest allowed magnitude of a number; its inverse is the smallest allowed positive number."""
 
 
 @dataclass(frozen=True)
-class Each:
-    """Mark of a key's type: one value for all members, or one each.
+class PerMember:
+    """Annotation of a key's type: a common value or one value per member.
 
     Attributes:
-        members: "joints", "axes" or "channels".
+        members: "joints", "axes", "channels" or "matrix".
     """
 
     members: str
 
 
 @dataclass(frozen=True)
-class Sample:
-    """Mark of a key's type: what is drawn where a single number leaves it open.
+class RandomDefault:
+    """Annotation of a key's type: sign or phase drawn at random if not given.
 
     Attributes:
-        what: "sign", or "phase" where the value is left out.
+        what: "sign", drawn if a single number is given, or "phase", drawn if the value is omitted.
     """
 
     what: str
 
 
-SIGN, PHASE = Sample("sign"), Sample("phase")
+RANDOM_SIGN, RANDOM_PHASE = RandomDefault("sign"), RandomDefault("phase")
 
 PerJoint: TypeAlias = Annotated[
-    float | tuple[float, ...] | Mapping[str, float], Each("joints")
+    float | tuple[float, ...] | Mapping[str, float], PerMember("joints")
 ]
-"""One for all joints, one a joint in their order, or by name."""
-PerAxis: TypeAlias = Annotated[float | tuple[float, ...], Each("axes")]
-"""One for x, y and z, or three."""
-PerChannel: TypeAlias = Annotated[float | tuple[float, ...], Each("channels")]
-"""One for all channels of the plate, or six: Fx, Fy, Fz, Mx, My, Mz."""
-Matrix: TypeAlias = Annotated[tuple[tuple[float, ...], ...], Each("matrix")]
-"""Six rows of six."""
+"""One number for all joints, a list in joint order, or a table keyed by joint name."""
+PerAxis: TypeAlias = Annotated[float | tuple[float, ...], PerMember("axes")]
+"""One number for x, y and z, or three numbers."""
+PerChannel: TypeAlias = Annotated[float | tuple[float, ...], PerMember("channels")]
+"""One number for all channels of the plate, or six numbers: Fx, Fy, Fz, Mx, My, Mz."""
+Matrix: TypeAlias = Annotated[tuple[tuple[float, ...], ...], PerMember("matrix")]
+"""Matrix (6, 6), as six rows."""
 
-COUNTS = {"axes": 3, "channels": 6}
-"""How many members a list has that is not of joints."""
+MEMBER_COUNTS = {"axes": 3, "channels": 6}
+"""Lengths of lists that do not depend on the number of joints."""
 
 _LISTS = {
     "axes": ", or a list of three (x, y, z)",
@@ -74,82 +75,92 @@ _LISTS = {
 
 @dataclass(frozen=True)
 class Key:
-    """What may stand under a key of a kind's table.
+    """Type, bounds and random default of a key in the table of a kind.
 
     Attributes:
-        members: What the value may be one of each for: "joints", "axes", "channels"; or
-            "matrix" (6, 6); "word", a word instead of a number; or nothing.
-        sample: What a single number leaves open: "sign", "phase" (where the value is left
-            out), or nothing.
-        least: Smallest value.
-        most: Largest value.
-        positive: Zero is none either.
-        whole: A whole number.
+        members: Members for which values may be given: "joints", "axes" or "channels"; "matrix" for
+            a (6, 6) matrix, "word" for a word instead of a number, "" for a single number.
+        sample: Random default: "sign" of a single number, "phase" of an omitted value, "" for none.
+        least: Smallest allowed value.
+        most: Largest allowed value.
+        positive: True if zero is not allowed.
+        whole: True if only integers are allowed.
     """
 
     members: str = ""
     sample: str = ""
-    least: float = -LARGEST
-    most: float = LARGEST
+    least: float = -MAX_MAGNITUDE
+    most: float = MAX_MAGNITUDE
     positive: bool = False
     whole: bool = False
 
-    def checked(self, value: Any, label: str) -> Any:
-        """A value as it is kept: floats, tuples, tables by joint name.
+    def validated_value(self, value: Any, label: str) -> Any:
+        """Validate a value of the key, and convert it to floats, tuples or dictionaries.
 
         Args:
-            value: As Python or TOML gives it.
-            label: What it is called in the error.
+            value: Value from Python or TOML.
+            label: Name of the key in the message.
 
         Raises:
-            SettingsError: It is none that the key takes.
+            SettingsError: The value is not allowed.
         """
         try:
-            return self._kept(value)
+            return self._converted_value(value)
         except (TypeError, ValueError, OverflowError):
-            said = repr(value)
-            said = said if len(said) <= 60 else f"{said[:60]}..."
-            raise SettingsError(f"{label} is {self._words()}, found {said}") from None
+            text = repr(value)
+            text = text if len(text) <= 60 else f"{text[:60]}..."
+            raise SettingsError(
+                f"{label} is {self._description()}, found {text}"
+            ) from None
 
-    def _kept(self, value: Any) -> Any:
+    def _converted_value(self, value: Any) -> Any:
+        """Convert a value to a float, integer, word, tuple, or dictionary keyed by joint name.
+
+        Raises:
+            TypeError, ValueError, OverflowError: The value is not allowed.
+        """
         if self.members == "word":
             if not isinstance(value, str):
                 raise TypeError
             return value
         if self.members == "matrix":
-            rows = tuple(tuple(self._number(each) for each in row) for row in value)
+            rows = tuple(tuple(self._number(item) for item in row) for row in value)
             if [len(row) for row in rows] != [6] * 6:
                 raise ValueError
             return rows
         if isinstance(value, Mapping) and self.members == "joints":
-            return {str(joint): self._number(each) for joint, each in value.items()}
+            return {str(joint): self._number(item) for joint, item in value.items()}
         if isinstance(value, list | tuple) and self.members:
-            if len(value) != COUNTS.get(self.members, len(value)) or not value:
+            if len(value) != MEMBER_COUNTS.get(self.members, len(value)) or not value:
                 raise ValueError
-            return tuple(self._number(each) for each in value)
+            return tuple(self._number(item) for item in value)
         return self._number(value)
 
     def _number(self, value: Any) -> float | int:
-        """A number within bounds."""
+        """Convert a value to a number within the bounds.
+
+        Raises:
+            TypeError, ValueError: The value is not a number, or is not allowed.
+        """
         if isinstance(value, bool | str | bytes):
             raise TypeError
         number = float(value)
-        least = 1 / LARGEST if self.positive else self.least
+        least = 1 / MAX_MAGNITUDE if self.positive else self.least
         if not least <= number <= self.most or (self.whole and number != int(value)):
             raise ValueError
         return int(value) if self.whole else number
 
-    def _words(self) -> str:
-        """What the key takes."""
+    def _description(self) -> str:
+        """Description of the allowed values, for messages."""
         if self.members == "word":
             return "a name"
         if self.members == "matrix":
             return "six lists of six numbers"
         number = "positive " * self.positive + "whole " * self.whole + "number"
         bounds = []
-        if self.least > -LARGEST:
+        if self.least > -MAX_MAGNITUDE:
             bounds.append(f"at least {self.least:g}")
-        if self.most < LARGEST:
+        if self.most < MAX_MAGNITUDE:
             bounds.append(f"at most {self.most:g}")
         return f"a {number} {' and '.join(bounds)}".strip() + _LISTS.get(
             self.members, ""
@@ -157,100 +168,127 @@ class Key:
 
 
 @cache
-def _keys(kind: type) -> dict[str, Key]:
-    """Keys of a kind, by the types of its fields; fields without repr are none."""
+def _keys_of_kind(kind: type) -> dict[str, Key]:
+    """Keys of a kind, from the types of its fields, except fields with `repr=False`."""
     hints = get_type_hints(kind, include_extras=True)
-    return {each.name: _key(hints[each.name]) for each in fields(kind) if each.repr}
+    return {
+        field.name: _key_of_type(hints[field.name])
+        for field in fields(kind)
+        if field.repr
+    }
 
 
-def _key(hint: Any) -> Key:
-    """Key of a field's type, as `Annotated[PerJoint, Ge(0)]`."""
-    leaves = [*_leaves(hint)]
-    known: dict[str, Any] = {
+def _key_of_type(hint: Any) -> Key:
+    """Key that corresponds to the type of a field, such as `Annotated[PerJoint, Ge(0)]`."""
+    leaves = [*_type_leaves(hint)]
+    properties: dict[str, Any] = {
         "whole": int in leaves,
         "members": "word" if hint is str else "",
     }
     for leaf in leaves:
         match leaf:
-            case Each():
-                known["members"] = leaf.members
-            case Sample():
-                known["sample"] = leaf.what
+            case PerMember():
+                properties["members"] = leaf.members
+            case RandomDefault():
+                properties["sample"] = leaf.what
             case Ge():
-                known["least"] = leaf.ge
+                properties["least"] = leaf.ge
             case Le():
-                known["most"] = leaf.le
+                properties["most"] = leaf.le
             case Gt():
-                known["positive"] = True
-    return Key(**known)
+                properties["positive"] = True
+    return Key(**properties)
 
 
-def _leaves(hint: Any) -> Iterator[Any]:
-    """Types and marks that a type is made of."""
-    inner = get_args(hint)
-    for each in inner:
-        yield from _leaves(each)
-    if not inner:
+def _type_leaves(hint: Any) -> Iterator[Any]:
+    """Types and annotations of which a type is composed."""
+    arguments = get_args(hint)
+    for argument in arguments:
+        yield from _type_leaves(argument)
+    if not arguments:
         yield hint
 
 
 class KindTable(Value, ABC):
-    """One value of a kind."""
+    """Base class of values that are configured by a table with a kind."""
 
     kind: ClassVar[str]
-    """Its name in files."""
+    """Name of the kind in files."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     def __post_init__(self) -> None:
-        for name, wanted in self.known_keys().items():
+        for name, key in self.known_keys().items():
             value = getattr(self, name)
-            if value is not None or self._default(name) is not None:
+            if value is not None or self._default_value(name) is not None:
                 object.__setattr__(
-                    self, name, wanted.checked(value, f"{self.kind}: {name}")
+                    self, name, key.validated_value(value, f"{self.kind}: {name}")
                 )
 
     def __eq__(self, other: object) -> bool:
-        """Values are the same if their tables are, whatever they are installed on."""
+        """Test whether the tables are equal; values determined by robot or plate are ignored."""
         return isinstance(other, KindTable) and self.table() == other.table()
 
     def __hash__(self) -> int:
         return hash(self.kind)
 
-    def _default(self, name: str) -> Any:
+    def _default_value(self, name: str) -> Any:
+        """Default value of a key; None if the key has no default."""
         default = type(self).__dataclass_fields__[name].default
         return None if default is MISSING else default
 
     @classmethod
     def known_keys(cls) -> dict[str, Key]:
-        """Keys of the table, besides `kind`."""
-        return _keys(cls)
+        """Keys of the table, keyed by name, without `kind`."""
+        return _keys_of_kind(cls)
 
     def table(self) -> dict[str, Any]:
-        """The value as a file says it, every default written out."""
-        values = {name: _plain(getattr(self, name)) for name in self.known_keys()}
+        """Table that represents the value in a file, including all defaults."""
+        values = {name: _toml_value(getattr(self, name)) for name in self.known_keys()}
         return {"kind": self.kind} | {k: v for k, v in values.items() if v is not None}
 
     @property
     def by_joint(self) -> dict[str, Mapping[str, float]]:
-        """The keys that are tables by joint name."""
+        """Values that are given by joint name, as one mapping per key."""
         values = {name: getattr(self, name) for name in self.known_keys()}
         return {
             name: value for name, value in values.items() if isinstance(value, Mapping)
         }
 
-    def of_joints(self, names: tuple[str, ...]) -> dict[str, Any]:
-        """The keys that have one number a joint, in the joints' order: a number for all, or each.
+    def joint_values(self, names: tuple[str, ...]) -> dict[str, Any]:
+        """Values of per-joint keys in joint order; a single number is kept.
+
+        The result is keyed by the name of the key. Joints omitted in a table keyed by joint name
+        have zero, or the key's default if zero is not allowed.
+
+        Args:
+            names: Joint names.
 
         Raises:
-            SettingsError: It names a joint that is not there, or not of all.
+            SettingsError: A joint is unknown, or a list has another number of values.
         """
-        wanted = {
+        joint_keys = {
             k: key for k, key in self.known_keys().items() if key.members == "joints"
         }
-        return {name: self._of_joints(name, key, names) for name, key in wanted.items()}
+        return {
+            name: self._joint_value(name, key, names)
+            for name, key in joint_keys.items()
+        }
 
-    def _of_joints(self, name: str, key: Key, names: tuple[str, ...]) -> Any:
+    def _joint_value(self, name: str, key: Key, names: tuple[str, ...]) -> Any:
+        """Value of a per-joint key in joint order; a single number is kept.
+
+        Joints omitted in a table keyed by joint name have zero, or the key's default if zero is not
+        allowed.
+
+        Args:
+            name: Name of the key.
+            key: The key.
+            names: Joint names.
+
+        Raises:
+            SettingsError: A joint is unknown, or a list has another number of values.
+        """
         value = getattr(self, name)
         if isinstance(value, Mapping):
             for joint in value:
@@ -258,8 +296,8 @@ class KindTable(Value, ABC):
                     raise SettingsError(
                         f"{self.kind}: {UnknownName('joint', joint, names)}"
                     )
-            other = self._default(name) if key.positive else 0.0
-            return tuple(value.get(joint, other) for joint in names)
+            omitted_value = self._default_value(name) if key.positive else 0.0
+            return tuple(value.get(joint, omitted_value) for joint in names)
         if isinstance(value, tuple) and len(value) != len(names):
             raise SettingsError(
                 f"{self.kind}: {name} has {len(value)} numbers for {len(names)} joints "
@@ -268,13 +306,13 @@ class KindTable(Value, ABC):
         return value
 
 
-def each_joint(value: PerJoint) -> Array:
-    """Numbers of joints: () or (n,)."""
+def joint_array(value: PerJoint) -> Array:
+    """Values of a per-joint key as an array, () or (n,)."""
     return np.asarray(value, dtype=float)
 
 
-def _plain(value: Any) -> Any:
-    """A value as TOML takes it."""
+def _toml_value(value: Any) -> Any:
+    """Convert a value to lists and dictionaries, for TOML."""
     if isinstance(value, tuple):
-        return [_plain(each) for each in value]
+        return [_toml_value(item) for item in value]
     return dict(value) if isinstance(value, Mapping) else value

@@ -1,4 +1,4 @@
-"""Descriptions of kinds, for tables of the documents and `testbed list`."""
+"""Descriptions of sensor errors and effects, for the documentation and `testbed list`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from testbed.sensors.kind_table import KindTable
 
 @dataclass(frozen=True)
 class KindDescription:
-    """Description of one kind, for tables of the documents and `testbed list`.
+    """Description of a kind of sensor error or effect, from its docstring.
 
     Attributes:
-        kind: Its name.
-        summary: What it is, in a sentence.
-        details: Formulas and what else is to be known; may be empty.
-        source: Where the default size comes from.
-        keys: (name, default, meaning with unit) of each key.
-        example: A line of an experiment file.
+        kind: Name of the kind.
+        summary: Description in one sentence.
+        details: Formulas and further details; may be "".
+        source: Source of the default size.
+        keys: Name, default value, and meaning with unit of each key.
+        example: Inline table for an experiment file.
     """
 
     kind: str
@@ -32,11 +32,14 @@ class KindDescription:
     example: str
 
 
-def in_words(kind: type[KindTable]) -> KindDescription:
-    """What there is to say of a kind.
+def describe_kind(kind: type[KindTable]) -> KindDescription:
+    """Description of a kind, from its docstring and its default values.
+
+    The docstring consists of the summary as the first paragraph, details, the paragraph "Source",
+    and the meanings of the keys under "Attributes:".
 
     Args:
-        kind: The kind; all its keys have defaults.
+        kind: Class of the kind; all keys must have defaults.
     """
     text = inspect.getdoc(kind) or ""
     body, _, attributes = text.partition("\n\nAttributes:\n")
@@ -47,39 +50,43 @@ def in_words(kind: type[KindTable]) -> KindDescription:
         re.findall(r"^    (\w+): ((?:.|\n {8})*)", attributes, re.MULTILINE)
     )
     keys = tuple(
-        (k, _toml(table.get(k)), _line(meanings[k])) for k in kind.known_keys()
+        (k, _toml_text(table.get(k)), _single_line(meanings[k]))
+        for k in kind.known_keys()
     )
-    example = ", ".join(f"{name} = {_toml(value)}" for name, value in table.items())
+    example = ", ".join(
+        f"{name} = {_toml_text(value)}" for name, value in table.items()
+    )
     return KindDescription(
         kind.kind,
-        _line(summary),
-        _line(details),
-        _line(source),
+        _single_line(summary),
+        _single_line(details),
+        _single_line(source),
         keys,
         f"{{ {example} }}",
     )
 
 
-def rows(entries: list[KindDescription]) -> list[str]:
-    """A table of a document: kind, what it is, its keys, the source of the size."""
+def kind_table_lines(entries: list[KindDescription]) -> list[str]:
+    """Lines of a Markdown table of kinds: name, description, keys and source of the size."""
     lines = ["| kind | what it is | keys: default, meaning | source of the size |"]
     lines += ["| --- | --- | --- | --- |"]
     for entry in entries:
         keys = "<br>".join(
-            f"`{k}`: {default}, {said}" for k, default, said in entry.keys
+            f"`{k}`: {default}, {meaning}" for k, default, meaning in entry.keys
         )
-        what = " ".join(filter(None, (entry.summary, entry.details)))
-        cells = (f"`{entry.kind}`", what, keys, entry.source)
+        description = " ".join(filter(None, (entry.summary, entry.details)))
+        cells = (f"`{entry.kind}`", description, keys, entry.source)
         lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
     return lines
 
 
-def _line(text: str) -> str:
+def _single_line(text: str) -> str:
+    """Text on one line, with single spaces."""
     return " ".join(text.split())
 
 
-def _toml(value: Any) -> str:
-    """A default as TOML writes it; numbers in a few digits."""
+def _toml_text(value: Any) -> str:
+    """Default value as TOML text; numbers have six significant digits."""
     if value is None:
         return "none"
     return json.dumps(value) if isinstance(value, str) else f"{value:.6g}"

@@ -1,7 +1,7 @@
-"""Wrench that an estimate predicts around the rows of a window, and the filter on rows.
+"""Predicted wrench at the regression rows of a window, and the filter for rows.
 
-Regressor columns of sensor errors are made of the predicted wrench, at fewer instants than there
-are samples: slow signals behind a low-pass.
+The regressor columns of sensor errors are computed from the predicted wrench. It is evaluated at
+fewer instants than there are samples, because the signals are slow after low-pass filtering.
 """
 
 from __future__ import annotations
@@ -22,43 +22,47 @@ from testbed.core.robot.tree import Tree
 
 @dataclass(frozen=True, eq=False)
 class RowFilter:
-    """Filter on rows at every so many samples.
+    """Low-pass filter with decimation, from instants or samples to rows.
+
+    Rows are the times at which the filtered signals enter the regression; instants are every
+    `stride`-th sample. The filter has weights for J instants, or L samples, on either side of a
+    row.
 
     Attributes:
-        stride: Samples from one instant to the next.
-        weights: Of the instants around a row, (2 J + 1,), of sum one.
-        slopes: The same for a signal's derivative in time, (2 J + 1,) [1/s].
-        step: Instants from row to row.
-        every_weight: Weights of every sample around a row, (2 L + 1,), of sum one.
-        every_slope: Slopes at every sample, (2 L + 1,) [1/s].
+        stride: Number of samples from one instant to the next.
+        weights: Weights of the instants around a row, with sum one, (2 J + 1,).
+        derivative_weights: Weights for the time derivative of a signal, (2 J + 1,) [1/s].
+        row_step: Number of instants from one row to the next.
+        sample_weights: Weights of all samples around a row, with sum one, (2 L + 1,).
+        sample_derivative_weights: Weights of all samples for the time derivative, (2 L + 1,) [1/s].
     """
 
     stride: int
     weights: Array
-    slopes: Array
-    step: int
-    every_weight: Array
-    every_slope: Array
+    derivative_weights: Array
+    row_step: int
+    sample_weights: Array
+    sample_derivative_weights: Array
 
     @property
-    def reach(self) -> int:
-        """Samples that the instants lie to either side of a row."""
+    def half_width(self) -> int:
+        """Half-length of the filter: number of samples from a row to its outermost instants."""
         return self.stride * (len(self.weights) // 2)
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedWrench:
-    """Motion of a window, and the wrench that an estimate predicts, at instants around its rows.
+    """Motion in a window, and the wrench that an estimate predicts for its rows.
 
     Attributes:
-        tree: The robot; only its geometry matters.
-        gravity: (3,) [m/s^2], bedplate frame.
-        theta: Barycentric parameters that the estimate allows, (n, 10).
-        motion: At m instants; its time begins at the first.
+        tree: The robot; only its geometry is used.
+        gravity: Gravity vector in the bedplate frame, (3,) [m/s^2].
+        theta: Barycentric parameters consistent with the estimate, (n, 10).
+        motion: Motion at m instants; time is zero at the first instant.
         tare: Static wrench of the pedestal, (6,) [N, N m].
-        time: Of the rows, from the middle of the recording, (rows,) [s].
-        filter: From instants to rows.
-        measured: The plate's samples around each row, without the tare, (rows, 6, 2 L + 1)
+        time: Times of the rows, relative to the middle of the recording, (rows,) [s].
+        filter: Filter from instants to rows.
+        measured_samples: Samples of the plate around each row, minus the tare, (rows, 6, 2 L + 1)
             [N, N m].
     """
 
@@ -69,53 +73,56 @@ class PredictedWrench:
     tare: Array
     time: Array
     filter: RowFilter
-    measured: Array
+    measured_samples: Array
 
     @cached_property
-    def shown(self) -> Array:
-        """Measured wrench, with the tare, at the rows, (rows, 6) [N, N m]."""
-        return self.measured @ self.filter.every_weight + self.tare
+    def measured_wrench(self) -> Array:
+        """Filtered measured wrench at the rows, including the tare, (rows, 6) [N, N m]."""
+        return self.measured_samples @ self.filter.sample_weights + self.tare
 
     @cached_property
-    def shown_rate(self) -> Array:
-        """Derivative of the measured wrench in time, (rows, 6) [N/s, N m/s]."""
-        return self.measured @ self.filter.every_slope
+    def measured_wrench_rate(self) -> Array:
+        """Filtered time derivative of the measured wrench, (rows, 6) [N/s, N m/s]."""
+        return self.measured_samples @ self.filter.sample_derivative_weights
 
     @cached_property
-    def moving(self) -> Array:
-        """Wrench of the moving bodies, (m, 6) [N, N m]."""
+    def robot_wrench(self) -> Array:
+        """Predicted wrench of the moving bodies at the instants, (m, 6) [N, N m]."""
         return self._derivatives.wrench
 
     @cached_property
     def wrench(self) -> Array:
-        """Wrench of robot and pedestal at the rows, (rows, 6) [N, N m]."""
-        return self.rows((self.moving + self.tare)[:, :, None])[..., 0]
+        """Predicted wrench of robot and pedestal at the rows, (rows, 6) [N, N m]."""
+        return self.filter_signals((self.robot_wrench + self.tare)[:, :, None])[..., 0]
 
-    def along(
+    def coordinate_derivative(
         self, joint: int, dq: Array | float, dqd: Array | float, dqdd: Array | float
     ) -> Array:
-        """Derivative of the wrench by an error of one joint's coordinate, (m, 6).
+        """Derivative of the wrench with respect to an error of one joint coordinate, (m, 6).
+
+        The result is unfiltered, at the m instants, per unit of the error.
 
         Args:
-            joint: Index.
-            dq: Derivative of the coordinate by the error, (m,).
-            dqd: Derivative of the velocity by the error, (m,).
-            dqdd: Derivative of the acceleration by the error, (m,).
+            joint: Joint index.
+            dq: Derivative of the joint position with respect to the error, (m,).
+            dqd: Derivative of the joint velocity with respect to the error, (m,).
+            dqdd: Derivative of the joint acceleration with respect to the error, (m,).
         """
         changes = (
             np.broadcast_to(each, self.motion.samples)[:, None, None]
             for each in (dq, dqd, dqdd)
         )
-        own = self._derivatives.wrench_slopes.of(slice(joint, joint + 1))
-        return own.along(*changes)[:, :, 0, 0]
+        joint_slopes = self._derivatives.wrench_slopes.select(slice(joint, joint + 1))
+        return joint_slopes.force_changes(*changes)[:, :, 0, 0]
 
-    def passing(self, joint: int) -> Array:
-        """Derivative of the wrench in time by one joint's motion alone, filtered, (rows, 6, 1).
+    def joint_time_derivative(self, joint: int) -> Array:
+        """Time derivative of the wrench due to one joint's motion alone, filtered, (rows, 6, 1).
 
-        Encoders do not measure the jerk: the filter differentiates, by parts.
+        The units are N/s and N m/s. Because the jerk is not measured, its term is integrated by
+        parts, using the derivative of the filter.
 
         Args:
-            joint: Index.
+            joint: Joint index.
         """
         slopes = self._derivatives.wrench_slopes
         by_position, by_velocity, by_acceleration = (
@@ -123,42 +130,45 @@ class PredictedWrench:
             for each in (slopes.position, slopes.velocity, slopes.acceleration)
         )
         qd, qdd = self.motion.qd[:, joint, None], self.motion.qdd[:, joint, None]
-        turning = _rate(by_acceleration, self.motion.t)
-        known = by_position * qd + by_velocity * qdd - turning * qdd
-        return self.rows(known[..., None]) + self.rates(
-            (by_acceleration * qdd)[..., None]
+        acceleration_slope_rate = _time_derivative(by_acceleration, self.motion.t)
+        terms_without_jerk = (
+            by_position * qd + by_velocity * qdd - acceleration_slope_rate * qdd
         )
+        return self.filter_signals(
+            terms_without_jerk[..., None]
+        ) + self.filter_derivatives((by_acceleration * qdd)[..., None])
 
     @cached_property
     def _derivatives(self) -> ForceDerivatives:
+        """Predicted wrench at the instants, with derivatives in the joint coordinates."""
         return force_derivatives(self.tree, self.motion, self.theta, self.gravity)
 
-    def rows(self, signals: Array) -> Array:
-        """Signals at the instants, (m, 6, k), filtered at the rows, (rows, 6, k)."""
-        return filtered(signals, self.filter.weights, self.filter.step)
+    def filter_signals(self, signals: Array) -> Array:
+        """Filter signals given at the instants, (m, 6, k), to obtain their rows, (rows, 6, k)."""
+        return filtered(signals, self.filter.weights, self.filter.row_step)
 
-    def rates(self, signals: Array) -> Array:
-        """Derivatives of signals in time, filtered at the rows, (rows, 6, k)."""
-        return filtered(signals, self.filter.slopes, self.filter.step)
+    def filter_derivatives(self, signals: Array) -> Array:
+        """Filtered time derivatives of signals, at the rows, (rows, 6, k)."""
+        return filtered(signals, self.filter.derivative_weights, self.filter.row_step)
 
 
 def filtered(signals: Array, weights: Array, step: int) -> Array:
-    """Weighted sums of consecutive instants, (rows, C, k), of signals (m, C, k).
+    """Weighted sums of signals over consecutive instants, (rows, C, k).
 
     Args:
-        signals: At instants.
-        weights: Of the instants around a row.
-        step: Instants from row to row.
+        signals: k signals of C channels at the m instants, (m, C, k).
+        weights: Weights of the instants around a row, (2 J + 1,).
+        step: Number of instants from one row to the next.
     """
     windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
     return windows[::step] @ weights
 
 
-def _rate(signal: Array, time: Array) -> Array:
-    """Derivative of smooth signals, (m, k), by differences of order four; of two at the ends."""
+def _time_derivative(signal: Array, time: Array) -> Array:
+    """Time derivative of smooth signals, (m, k), by fourth-order differences (second at ends)."""
     rate = np.gradient(signal, time, axis=0)
     if len(time) > 4:
         step = time[1] - time[0]
-        near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
-        rate[2:-2] = (8 * near - far) / (12 * step)
+        inner, outer = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
+        rate[2:-2] = (8 * inner - outer) / (12 * step)
     return rate

@@ -1,17 +1,17 @@
-"""Sensor error: a stage of the measuring chain between the truth and the recording.
+"""Base classes of sensor errors: stages of the measuring chain from true signals to recording.
 
-One error is one frozen dataclass in a module of `testbed/sensors/errors`: `kind`, `signal` and
-`stage` as class variables, a field for each key with default and bounds, its formula in `apply`.
-An error with coefficients, which can be estimated and taken back, is a `SystematicError`.
+A sensor error is a frozen dataclass in a module of `testbed/sensors/errors`. It has the class
+variables `kind`, `signal` and `stage`, one field with default and bounds per key, and its formula
+in `apply`. An error with coefficients that can be estimated and corrected is a `SystematicError`.
 
-A single number where an error has one for every joint, axis or channel is a size; signs (of errors)
-and phases (of waves) are then drawn from the error's own stream. A list gives each its own value,
-sign included; in a table by joint name those left out have zero, or the default where zero makes no
-sense, as for a period.
+For a key with one number per joint, axis or channel, a single number is a magnitude: signs of
+errors and phases of waves are drawn from the random stream of the error. A list gives all values
+with their signs. In a table keyed by joint name, omitted joints have zero, or the default value if
+zero is not allowed, as for a period.
 
-Random numbers come from a stream of the kind and the seed, so that adding, removing or changing one
-error leaves the noise of all others as it was, to the bit. Several of one kind in a chain have a
-stream each, numbered in their order: one more goes last.
+The random stream depends on the kind and the seed, so that adding, removing or changing one error
+leaves the noise of the other errors exactly the same. Several errors of one kind in a chain have
+separate streams, numbered in their order; a new error should therefore be added last.
 """
 
 from __future__ import annotations
@@ -24,107 +24,116 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import COUNTS, KindTable, PerAxis, PerJoint, each_joint
+from testbed.sensors.kind_table import (
+    MEMBER_COUNTS,
+    KindTable,
+    PerAxis,
+    PerJoint,
+    joint_array,
+)
 
 Signal = Literal["position", "torque", "wrench", "tare"]
-"""Signals that have errors; the tare is the wrench of the plate at rest without the robot."""
+"""Signals that can have errors; the tare is the wrench of the plate at rest without robot."""
 
 FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
-"""Largest values that the plate's channels can show [N, N m]: a plate for loads of 100 kg."""
+"""Full scale of the plate's channels [N, N m], for a plate with a load capacity of 100 kg."""
 
 
 class StageOrder(IntEnum):
-    """Order of the stages of a measuring chain, whatever the order in the file."""
+    """Order of the stages in a measuring chain, independent of the order in files."""
 
     SENSOR = 0
     """Mechanics, calibration and amplifiers: linear, before any noise."""
     FILTER = 1
     CLOCK = 2
     NOISE = 3
-    """Whatever is added."""
+    """Added noise and offsets."""
     RANGE = 4
-    """Signals that grow no further."""
+    """Saturation."""
     CONVERTER = 5
-    """Signals in whole counts."""
+    """Quantisation to whole counts."""
     LINE = 6
-    """Samples on their way to the file."""
+    """Transmission of the samples to the file."""
 
 
 class SensorError(KindTable):
-    """Imperfection of a sensor, one value of its kind."""
+    """Base class of sensor errors."""
 
     signal: ClassVar[Signal]
     stage: ClassVar[StageOrder]
 
     @abstractmethod
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Signal with the error.
+        """Apply the error to a signal.
 
         Args:
-            signal: (M, k), in the signal's unit.
-            time: (M,) [s].
-            rng: The error's own random numbers.
+            signal: Signal before the error, (M, k), in the signal's unit.
+            time: Times of the samples, (M,) [s].
+            rng: Random stream of the error.
         """
 
-    def on(
+    def for_robot(
         self, names: tuple[str, ...], full_scale: tuple[float, ...] = FULL_SCALE
     ) -> Self:
-        """Copy of the error for a robot and a plate: a value a joint, in their order.
+        """Copy of the error for a robot and plate, with per-joint values in order.
 
         Args:
             names: Joint names.
-            full_scale: Of the plate's channels, (6,) [N, N m].
+            full_scale: Full scale of each channel of the plate, (6,) [N, N m].
 
         Raises:
-            SettingsError: It names a joint that is not there, or not of all.
+            SettingsError: A joint is unknown, or values of some joints are missing.
         """
-        found: dict[str, Any] = self.of_joints(names)
+        changes: dict[str, Any] = self.joint_values(names)
         if hasattr(self, "full_scale"):
-            found["full_scale"] = full_scale
-        return replace(self, **found)
+            changes["full_scale"] = full_scale
+        return replace(self, **changes)
 
     def check_rate(self, rate: float) -> None:
-        """Check that the error can be simulated at a rate.
+        """Check that the error can be simulated at a sampling rate.
 
         Args:
-            rate: Samples a second [Hz].
+            rate: Sampling rate [Hz].
 
         Raises:
-            SettingsError: It cannot.
+            SettingsError: The error cannot be simulated at this rate.
         """
-        del rate  # most can be at any
+        del rate  # no limit for most errors
 
-    def sample(self, joints: int, rng: np.random.Generator) -> Self:
-        """Copy of the error with random signs and phases where a size alone is given.
+    def with_random_values(self, joints: int, rng: np.random.Generator) -> Self:
+        """Copy of the error with random signs and phases where only a magnitude is given.
+
+        For keys with a random sign, a single number becomes a list of numbers with random signs.
+        For keys with a random phase, an omitted value becomes a list of phases between 0 and 2 pi.
 
         Args:
             joints: Number of joints.
-            rng: The error's own random numbers, for this use.
+            rng: Random stream of the error for this draw.
         """
-        found: dict[str, Any] = {}
-        for name, wanted in self.known_keys().items():
-            value, count = getattr(self, name), COUNTS.get(wanted.members, joints)
-            if wanted.sample == "sign" and isinstance(value, float):
-                found[name] = tuple((value * rng.choice([-1.0, 1.0], count)).tolist())
-            elif wanted.sample == "phase" and value is None:
-                found[name] = tuple(rng.uniform(0, 2 * np.pi, count).tolist())
-        return replace(self, **found)
+        changes: dict[str, Any] = {}
+        for name, key in self.known_keys().items():
+            value, count = getattr(self, name), MEMBER_COUNTS.get(key.members, joints)
+            if key.sample == "sign" and isinstance(value, float):
+                changes[name] = tuple((value * rng.choice([-1.0, 1.0], count)).tolist())
+            elif key.sample == "phase" and value is None:
+                changes[name] = tuple(rng.uniform(0, 2 * np.pi, count).tolist())
+        return replace(self, **changes)
 
 
 class NoiseError(SensorError):
-    """White noise of standard deviation `sigma`, joint by joint."""
+    """White noise with one standard deviation `sigma` per joint."""
 
     stage: ClassVar[StageOrder] = StageOrder.NOISE
     sigma: PerJoint
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Signal with noise, (M, n)."""
+        """Signal with white noise added, (M, n)."""
         del time
-        return signal + each_joint(self.sigma) * rng.normal(size=signal.shape)
+        return signal + joint_array(self.sigma) * rng.normal(size=signal.shape)
 
 
 class AddedWrench(SensorError):
-    """Random or periodic error of the plate's channels: their sizes times a pattern over time."""
+    """Random or periodic error of the plate's channels: amplitudes times a time pattern."""
 
     signal: ClassVar[Signal] = "wrench"
     stage: ClassVar[StageOrder] = StageOrder.NOISE
@@ -133,27 +142,27 @@ class AddedWrench(SensorError):
 
     @abstractmethod
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Error of channels of size one, (M, 6) or (M, 1).
+        """Time pattern of the error with unit amplitude in each channel, (M, 6) or (M, 1).
 
         Args:
             signal: Wrench before the error, (M, 6) [N, N m].
-            time: (M,) [s].
-            rng: The error's own random numbers.
+            time: Times of the samples, (M,) [s].
+            rng: Random stream of the error.
         """
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Wrench with the error, (M, 6) [N, N m]."""
-        return signal + channels(self.force, self.moment) * self.pattern(
+        return signal + channel_values(self.force, self.moment) * self.pattern(
             signal, time, rng
         )
 
 
-def channels(force: PerAxis, moment: PerAxis) -> Array:
-    """Values of the plate's channels, (6,), of those of forces and of moments.
+def channel_values(force: PerAxis, moment: PerAxis) -> Array:
+    """Values of the plate's six channels, (6,), from values for forces and moments.
 
     Args:
-        force: One for x, y and z, or three.
-        moment: Likewise.
+        force: One number for x, y and z, or three numbers.
+        moment: One number for x, y and z, or three numbers.
     """
     return np.concatenate(
         [np.broadcast_to(np.asarray(each), 3) for each in (force, moment)]
@@ -164,6 +173,6 @@ def sampling_time(time: Array) -> float:
     """Time between two samples [s].
 
     Args:
-        time: Uniform, (M,) [s].
+        time: Uniform times of the samples, (M,) [s].
     """
     return float((time[-1] - time[0]) / (len(time) - 1))

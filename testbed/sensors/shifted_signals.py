@@ -1,4 +1,4 @@
-"""Signals at other instants than those of their samples."""
+"""Interpolation of signals at shifted or arbitrary times."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 
-_POINTS = 8
-"""Samples that an interpolated one is made of: exact for polynomials below that degree."""
+_INTERPOLATION_POINTS = 8
+"""Number of samples in Lagrange interpolation: exact for polynomials of lower degree."""
 
 
-def shifted(signal: Array, samples: float) -> Array:
-    """A signal read so many samples later, by Lagrange's interpolation between neighbours.
+def shifted_signal(signal: Array, samples: float) -> Array:
+    """Signal advanced by a number of samples, by Lagrange interpolation of eight samples.
 
     Args:
-        signal: (M, k); beyond its ends it is held.
-        samples: How many, of either sign; need not be whole.
+        signal: Signal, (M, k); its first and last values are held beyond its ends.
+        samples: Number of samples, positive or negative, not necessarily an integer. Sample i of
+            the result is the signal at sample i + samples.
     """
     whole = int(np.floor(samples))
-    nodes = np.arange(_POINTS) - (_POINTS // 2 - 1)
+    nodes = np.arange(_INTERPOLATION_POINTS) - (_INTERPOLATION_POINTS // 2 - 1)
     gaps = (samples - whole) - nodes
     weights = np.array(
         [
@@ -26,33 +27,33 @@ def shifted(signal: Array, samples: float) -> Array:
             for k, node in enumerate(nodes)
         ]
     )
-    at = np.arange(len(signal))
-    found = np.zeros_like(signal)
+    indices = np.arange(len(signal))
+    result = np.zeros_like(signal)
     for node, weight in zip(nodes, weights, strict=True):
-        found += weight * signal[np.clip(at + whole + node, 0, len(signal) - 1)]
-    return found
+        result += weight * signal[np.clip(indices + whole + node, 0, len(signal) - 1)]
+    return result
 
 
-def reach(delay: float, rate: float) -> int:
-    """Samples at either end that are not what they should be once a delay is taken back.
+def edge_samples(delay: float, rate: float) -> int:
+    """Number of samples at each end that lack neighbours for the correction of a delay.
 
     Args:
-        delay: [s].
-        rate: Samples a second [Hz].
+        delay: Delay [s].
+        rate: Sampling rate [Hz].
     """
-    return int(np.ceil(abs(delay) * rate)) + _POINTS // 2 if delay else 0
+    return int(np.ceil(abs(delay) * rate)) + _INTERPOLATION_POINTS // 2 if delay else 0
 
 
-def at_times(signal: Array, time: Array, wanted: Array) -> Array:
-    """A signal at other instants; before the first and after the last sample it is held.
+def resampled_signal(signal: Array, time: Array, instants: Array) -> Array:
+    """Signal at other times, by a quintic spline; values are held beyond the ends.
 
     Args:
-        signal: (M, k).
-        time: Of its samples, (M,) [s].
-        wanted: (L,) [s].
+        signal: Signal, (M, k).
+        time: Times of the samples, (M,) [s].
+        instants: Times of the result, (L,) [s].
     """
     from scipy.interpolate import make_interp_spline
 
     spline = make_interp_spline(time, signal, k=min(5, len(time) - 1))
-    found: Array = spline(np.clip(wanted, time[0], time[-1]))
-    return found
+    result: Array = spline(np.clip(instants, time[0], time[-1]))
+    return result

@@ -1,12 +1,12 @@
-"""Systematic error: a sensor error with coefficients, simulated, estimated and taken back.
+"""Base classes of systematic sensor errors, which can be simulated, estimated and corrected.
 
-One function, `effect`, says what a sensor shows; the rest follows from it unless a class has
-formulas of its own: the simulation, the regressor columns (central differences by the
-coefficients), the correction of a recording (fixed-point iteration).
+The function `effect` maps the signal without the error to the signal with the error. Simulation,
+regressor columns (central differences with respect to the coefficients) and correction of a
+recording (fixed-point iteration) follow from `effect`, unless a class overrides them with formulas.
 
-Time is from the first sample on in a simulation, from the middle of the recording on in estimates
-and corrections: gains that grow by r (1/s) from time 0 in T seconds are a gain of 1 + r T / 2,
-which grows by r / (1 + r T / 2).
+Time is measured from the first sample in a simulation, but from the middle of the recording in
+estimates and corrections. For example, a simulated gain 1 + r t in a recording of T seconds is
+estimated as a gain of 1 + r T / 2 that grows at the rate r / (1 + r T / 2).
 """
 
 from __future__ import annotations
@@ -19,30 +19,31 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.recordings.columns import AXES, PLATE_UNITS
+from testbed.core.recordings.columns import WRENCH_COMPONENTS, WRENCH_UNITS
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.tree import Tree
-from testbed.sensors.kind_table import COUNTS
+from testbed.sensors.kind_table import MEMBER_COUNTS
 from testbed.sensors.predicted_wrench import PredictedWrench
 from testbed.sensors.sensor_error import SensorError, Signal
 
-STEP = 1e-3
-"""Of a coefficient, for differences."""
+COEFFICIENT_STEP = 1e-3
+"""Step of a coefficient for central differences."""
 
-INSTANT = 1e-3
-"""Of time, for differences along a motion [s]."""
+TIME_STEP = 1e-3
+"""Time step for differences along a motion [s]."""
 
-MOST_ITERATIONS, CONVERGED = 60, 1e-13
-"""Of the correction of a signal; its last change, relative to the signal."""
+MAX_ITERATIONS, CONVERGENCE_TOLERANCE = 60, 1e-13
+"""Largest number of iterations in the correction of a signal, and largest final change relative to
+the signal."""
 
 
 class Coefficient(NamedTuple):
-    """Unknown number of a systematic error.
+    """Unknown coefficient of a systematic error.
 
     Attributes:
-        name: Such as "pose/rx".
-        unit: Its unit.
-        neutral: Its value of a sensor without the error.
+        name: Name, such as "pose/rx".
+        unit: Unit.
+        neutral: Value for a sensor without the error.
     """
 
     name: str
@@ -51,33 +52,32 @@ class Coefficient(NamedTuple):
 
 
 class SystematicError(SensorError):
-    """Sensor error that is a function of signal, time and a few coefficients."""
+    """Sensor error that is a function of the signal, the time and a few coefficients."""
 
     fixed: ClassVar[tuple[Coefficient, ...]] = ()
-    """Coefficients, where they are the same on every robot."""
+    """Coefficients that are the same for every robot."""
     term: ClassVar[str]
-    """Name among the unknowns of an estimate, before the slash of coefficients' names; default the
-    kind."""
+    """Name among the unknowns of an estimate: the part of coefficient names before the slash; by
+    default the kind."""
     remedy: ClassVar[str] = ""
-    """What a person should do about it; default to estimate it."""
+    """Recommended remedy; by default the estimation of the coefficients."""
     estimated: ClassVar[bool] = True
-    """Whether an estimate may have the coefficients among its unknowns; else they are tested."""
+    """True if the coefficients can be unknowns of an estimate; otherwise they are only tested."""
     estimated_as: ClassVar[str] = ""
-    """Term that is estimated in place of this one; default its own."""
+    """Term that is estimated instead of this term; by default the same term."""
     tested: ClassVar[bool] = True
-    """Whether every estimate tests its residuals for the error, and names it as a likely cause."""
+    """True if the residuals of all estimates are tested for this error as a likely cause."""
     of_one_recording: ClassVar[bool] = False
-    """Whether the coefficients of another recording are others."""
+    """True if the coefficients differ between recordings."""
     contains: ClassVar[tuple[str, ...]] = ()
-    """Terms of simpler errors whose effects are among those of this one."""
+    """Terms of simpler errors whose effects are special cases of this effect."""
     jointly: ClassVar[bool] = False
-    """Whether the coefficients are of use only if all of them are identifiable."""
+    """True if the coefficients are used only if all of them are identifiable."""
     added: ClassVar[bool] = False
-    """Whether the effect is added to the channels as they are, before any mixture of them is taken
-    back."""
+    """True if the effect is added to the measured channels, before their unmixing."""
     unfolded: ClassVar[bool] = False
-    """Whether the columns need so many instants that the encoders' noise is not folded. A constant
-    error does; others would have too much in common with that noise in the rows."""
+    """True if the columns require enough instants to avoid aliasing of encoder noise, as for a
+    constant joint error. Columns of other errors would correlate with this noise in the rows."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -86,171 +86,191 @@ class SystematicError(SensorError):
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
-        """Coefficients on a robot, k in all.
+        """Coefficients of the error on a robot, (k,).
 
         Args:
-            tree: The robot: names and kinds of its joints, cuts at force sensors.
+            tree: The robot, with names and kinds of its joints and cuts at force sensors.
         """
         del tree
         return cls.fixed
 
     @property
     def values(self) -> Array:
-        """Values of the coefficients, (k,), or one for all: by default the keys, in their order."""
+        """Values of the coefficients, (k,), or a single value; by default the keys' values."""
         values = []
         for name, key in self.known_keys().items():
             value = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
-            values.append(np.broadcast_to(value, COUNTS.get(key.members, len(value))))
+            values.append(
+                np.broadcast_to(value, MEMBER_COUNTS.get(key.members, len(value)))
+            )
         return np.concatenate(values)
 
     @classmethod
     @abstractmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Signal with the error.
+        """Signal with the error, computed from the signal without the error.
 
         Args:
-            signal: (M, c).
-            time: From the first sample on, or from the middle, (M,) [s].
-            values: Of the coefficients, (k,).
+            signal: Signal without the error, (M, c).
+            time: Times since the first sample or relative to the middle, (M,) [s].
+            values: Values of the coefficients, (k,).
         """
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Signal with the error, (M, c)."""
+        """Signal with the error, (M, c), for the simulation."""
         del rng
         return self.effect(signal, time, self.values)
 
     @classmethod
     def neutral(cls, tree: Tree) -> Array:
-        """Values of the coefficients without the error, (k,)."""
-        return np.array([each.neutral for each in cls.coefficients(tree)])
+        """Values of the coefficients for a sensor without the error, (k,)."""
+        return np.array([coefficient.neutral for coefficient in cls.coefficients(tree)])
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Derivative of `effect` by the coefficients, (M, c, k); default by central differences.
+        """Derivative of `effect` with respect to the coefficients, (M, c, k).
+
+        By default, the derivative is computed by central differences with steps of
+        `COEFFICIENT_STEP`.
 
         Args:
-            signal: (M, c).
-            time: (M,) [s].
-            neutral: Values of the coefficients without the error, (k,).
+            signal: Signal without the error, (M, c).
+            time: Times of the samples, (M,) [s].
+            neutral: Values of the coefficients for a sensor without the error, (k,).
         """
         columns = [
             cls.effect(signal, time, neutral + step)
             - cls.effect(signal, time, neutral - step)
-            for step in STEP * np.eye(len(neutral))
+            for step in COEFFICIENT_STEP * np.eye(len(neutral))
         ]
-        return np.stack(columns, axis=-1) / (2 * STEP)
+        return np.stack(columns, axis=-1) / (2 * COEFFICIENT_STEP)
 
     @classmethod
-    def without(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Signal without the error, (M, c): inverse of `effect`; default by iteration.
+    def corrected_signal(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Signal without the error, (M, c): the inverse of `effect`.
+
+        By default, the inverse is computed by fixed-point iteration, until a change is at most
+        `CONVERGENCE_TOLERANCE` times the signal, with at most `MAX_ITERATIONS` iterations.
 
         Args:
-            signal: With the error, (M, c).
-            time: (M,) [s].
-            values: Of the coefficients, (k,).
+            signal: Signal with the error, (M, c).
+            time: Times of the samples, (M,) [s].
+            values: Values of the coefficients, (k,).
         """
         estimate, size = signal, np.abs(signal).max(initial=0.0)
-        for _ in range(MOST_ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             change = signal - cls.effect(estimate, time, values)
             estimate = estimate + change
-            if np.abs(change).max(initial=0.0) <= CONVERGED * size:
+            if np.abs(change).max(initial=0.0) <= CONVERGENCE_TOLERANCE * size:
                 break
         return estimate
 
     @classmethod
-    def undo(
+    def corrected_recording(
         cls, recording: Recording, values: Array, time: Array, tree: Tree
     ) -> Recording:
-        """Recording as it would be without the error.
+        """Recording corrected for the error.
 
         Args:
-            recording: With the error.
-            values: Of the coefficients, (k,).
-            time: Of the samples, from the middle of the whole recording, (M,) [s].
+            recording: Recording with the error.
+            values: Values of the coefficients, (k,).
+            time: Times of the samples, relative to the middle of the whole recording, (M,) [s].
             tree: The robot.
         """
         del tree
         changed: Any = {
-            cls.signal: cls.without(recording.measured(cls.signal), time, values)
+            cls.signal: cls.corrected_signal(
+                recording.measured(cls.signal), time, values
+            )
         }
         return replace(recording, **changed)
 
     @classmethod
-    def samples_lost(cls, values: Array, rate: float) -> int:
-        """Samples at either end of a recording that cannot be corrected.
+    def lost_sample_count(cls, values: Array, rate: float) -> int:
+        """Number of samples at each end of a recording that cannot be corrected.
 
         Args:
-            values: Of the coefficients, (k,).
-            rate: Samples a second [Hz].
+            values: Values of the coefficients, (k,).
+            rate: Sampling rate [Hz].
         """
         del values, rate
         return 0
 
     @classmethod
     @abstractmethod
-    def columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the measured wrench by the coefficients at the rows, (rows, 6, k).
+    def regressor_columns(cls, predicted: PredictedWrench) -> Array:
+        """Derivative of the residual wrench with respect to the coefficients, (rows, 6, k).
+
+        The residual is the filtered measured wrench minus the filtered predicted wrench, at the
+        rows.
 
         Args:
-            predicted: By an estimate.
+            predicted: Wrench and motion predicted by an estimate.
         """
 
     @classmethod
-    def measured_columns(cls, predicted: PredictedWrench) -> Array:
-        """Columns made of the measured wrench where that is possible, (rows, 6, k).
+    def columns_from_measured(cls, predicted: PredictedWrench) -> Array:
+        """Regressor columns from the measured wrench where possible, (rows, 6, k).
 
-        Noise of the encoders is in the predicted wrench and in the residual, and makes weakly
-        identifiable coefficients drift; noise of the plate is in neither twice.
+        Encoder noise affects both the predicted wrench and the residual. Columns from the predicted
+        wrench therefore give biased estimates of weakly identifiable coefficients. By default, the
+        columns are those of `regressor_columns`.
 
         Args:
-            predicted: With the measured wrench.
+            predicted: Predicted and measured wrench.
         """
-        return cls.columns(predicted)
+        return cls.regressor_columns(predicted)
 
     @classmethod
-    def unmixing(cls, values: Array) -> Array | None:
-        """Inverse of the mixture of the plate's channels, (6, 6); None for no mixture.
+    def unmixing_matrix(cls, values: Array) -> Array | None:
+        """Inverse of the matrix that mixes the plate's channels, (6, 6); None without mixing.
 
         Args:
-            values: Of the coefficients, (k,).
+            values: Values of the coefficients, (k,).
         """
         del values
         return None
 
 
 class PlateError(SystematicError):
-    """Systematic error of a plate's wrench, slow beside the filter on rows."""
+    """Systematic error of a plate's wrench that is slow compared with the filter on rows."""
 
     signal: ClassVar[Signal] = "wrench"
 
     @classmethod
-    def columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative by the coefficients of the predicted wrench, (rows, 6, k)."""
+    def regressor_columns(cls, predicted: PredictedWrench) -> Array:
+        """Derivative of the error of the predicted wrench, (rows, 6, k).
+
+        The derivative is taken with respect to the coefficients at their neutral values.
+        """
         neutral = cls.neutral(predicted.tree)
         return cls.derivative(predicted.wrench, predicted.time, neutral)
 
     @classmethod
-    def measured_columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative by the coefficients of the measured wrench, (rows, 6, k)."""
+    def columns_from_measured(cls, predicted: PredictedWrench) -> Array:
+        """Derivative of the error of the measured wrench, (rows, 6, k).
+
+        The derivative is taken with respect to the coefficients at their neutral values.
+        """
         return cls.derivative(
-            predicted.shown, predicted.time, cls.neutral(predicted.tree)
+            predicted.measured_wrench, predicted.time, cls.neutral(predicted.tree)
         )
 
 
 class EncoderError(SystematicError):
-    """Systematic error of joint positions, of each joint by coefficients of its own."""
+    """Systematic error of joint positions, with separate coefficients for each joint."""
 
     signal: ClassVar[Signal] = "position"
     per_joint: ClassVar[tuple[str, ...]] = ("",)
-    """Ends of the names of a joint's coefficients."""
+    """Suffixes of the names of a joint's coefficients."""
     units: ClassVar[tuple[str, str]]
-    """Units of a coefficient at a revolute and at a prismatic joint."""
+    """Units of a coefficient for a revolute and for a prismatic joint."""
     of_revolute: ClassVar[bool] = False
-    """Whether prismatic joints have none."""
+    """True if only revolute joints have coefficients."""
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
-        """Coefficients of the joints, joint by joint."""
+        """Coefficients of all joints, joint by joint."""
         return tuple(
             Coefficient(f"{cls.term}/{joint.name}{end}", cls.units[not joint.revolute])
             for joint in tree.joints
@@ -262,38 +282,52 @@ class EncoderError(SystematicError):
     def coordinate_errors(
         cls, q: Array, qd: Array, qdd: Array
     ) -> Iterable[tuple[Any, Any, Any]]:
-        """Derivatives of a joint's position, velocity and acceleration by its coefficients.
+        """Derivatives of a joint's motion with respect to each coefficient.
 
-        Default by differences of `effect` along the motion.
+        By default, they are computed from differences of `effect` along the motion, with steps of
+        `TIME_STEP`.
 
         Args:
-            q: Position, (m,) [rad or m].
-            qd: Velocity, (m,).
-            qdd: Acceleration, (m,).
+            q: Joint position, (m,) [rad or m].
+            qd: Joint velocity, (m,) [rad/s or m/s].
+            qdd: Joint acceleration, (m,) [rad/s^2 or m/s^2].
+
+        Returns:
+            For each coefficient, the derivatives of position, velocity and acceleration with
+            respect to this coefficient, each (m,) or a number.
         """
-        around = []
-        for h in (-INSTANT, 0.0, INSTANT):
+        derivatives = []
+        for h in (-TIME_STEP, 0.0, TIME_STEP):
             signal = (q + h * qd + h**2 / 2 * qdd)[:, None]
-            none = np.zeros(len(cls.per_joint))
-            around.append(cls.derivative(signal, np.full(len(q), h), none)[:, 0].T)
-        before, here, after = around
-        rate = (after - before) / (2 * INSTANT)
-        return zip(here, rate, (after - 2 * here + before) / INSTANT**2, strict=True)
+            neutral = np.zeros(len(cls.per_joint))
+            derivatives.append(
+                cls.derivative(signal, np.full(len(q), h), neutral)[:, 0].T
+            )
+        before, centre, after = derivatives
+        rate = (after - before) / (2 * TIME_STEP)
+        return zip(
+            centre, rate, (after - 2 * centre + before) / TIME_STEP**2, strict=True
+        )
 
     @classmethod
-    def columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the wrench by the coefficients, (rows, 6, k).
+    def regressor_columns(cls, predicted: PredictedWrench) -> Array:
+        """Derivative of the residual wrench with respect to the coefficients, (rows, 6, k).
 
-        The residual is the measured wrench less the one predicted at the measured positions.
+        The residual is the measured wrench minus the wrench predicted at the measured positions.
         """
         motion = predicted.motion
         signals = [np.zeros((motion.samples, 6, 0))]
         for j, joint in enumerate(predicted.tree.joints):
             if joint.revolute or not cls.of_revolute:
-                own = (each[:, j] for each in (motion.q, motion.qd, motion.qdd))
-                errors = cls.coordinate_errors(*own)
-                signals += [-predicted.along(j, *each)[..., None] for each in errors]
-        return predicted.rows(np.concatenate(signals, axis=2))
+                joint_motion = (
+                    each[:, j] for each in (motion.q, motion.qd, motion.qdd)
+                )
+                errors = cls.coordinate_errors(*joint_motion)
+                signals += [
+                    -predicted.coordinate_derivative(j, *each)[..., None]
+                    for each in errors
+                ]
+        return predicted.filter_signals(np.concatenate(signals, axis=2))
 
 
 class ClockError(SystematicError):
@@ -303,26 +337,33 @@ class ClockError(SystematicError):
 
     @classmethod
     @abstractmethod
-    def lateness(cls, time: Array) -> Array | float:
-        """Derivative of the plate's delay by the coefficient, (M,) or one [s]."""
+    def delay_derivative(cls, time: Array) -> Array | float:
+        """Derivative of the plate's delay [s] with respect to the coefficient, (M,) or a number."""
 
     @classmethod
-    def columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the wrench in time, less a delay, (rows, 6, 1)."""
-        late = np.broadcast_to(cls.lateness(predicted.time), len(predicted.time))
+    def regressor_columns(cls, predicted: PredictedWrench) -> Array:
+        """Derivative of the measured wrench with respect to a delay's coefficient, (rows, 6, 1).
+
+        The result is the negative time derivative of the predicted wrench, multiplied by the
+        derivative of the delay.
+        """
+        delay_derivative = np.broadcast_to(
+            cls.delay_derivative(predicted.time), len(predicted.time)
+        )
         return np.asarray(
-            -predicted.rates(predicted.moving[..., None]) * late[:, None, None]
+            -predicted.filter_derivatives(predicted.robot_wrench[..., None])
+            * delay_derivative[:, None, None]
         )
 
 
-def of_channels(
-    prefix: str, units: Sequence[str] = PLATE_UNITS
+def channel_coefficients(
+    prefix: str, units: Sequence[str] = WRENCH_UNITS
 ) -> tuple[Coefficient, ...]:
     """Coefficients of the plate's six channels.
 
     Args:
-        prefix: Of their names.
-        units: One each.
+        prefix: Part of the names before the slash.
+        units: Unit of each coefficient.
     """
-    names = (f"{prefix}/{axis}" for axis in AXES)
+    names = (f"{prefix}/{axis}" for axis in WRENCH_COMPONENTS)
     return tuple(map(Coefficient, names, units))

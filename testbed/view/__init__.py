@@ -1,4 +1,4 @@
-"""Results on a terminal, on a page and in pictures.
+"""Output of results: terminal tables, HTML pages, plots.
 
 In: any result.
 Out: `Section`s: tables and panels; HTML; plots.

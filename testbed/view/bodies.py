@@ -1,4 +1,4 @@
-"""Physically consistent bodies: link by link, in sentences."""
+"""Tables and sentences of physically consistent bodies."""
 
 from __future__ import annotations
 
@@ -8,30 +8,34 @@ from itertools import product
 import numpy as np
 
 from testbed.bodies.consistency.consistent import Consistent
-from testbed.bodies.consistency.robots import Robots
-from testbed.bodies.linear_prior import DETERMINED
+from testbed.bodies.consistency.robots import RobotSamples
+from testbed.bodies.linear_prior import MIN_DETERMINED_SHARE
 from testbed.core.base.summary_table import numbers_with_sigma
-from testbed.core.estimation.estimate import NAMES
-from testbed.core.parameters.symbols import STANDARD
+from testbed.core.estimation.estimate import METHOD_LABELS
+from testbed.core.parameters.symbols import STANDARD_NAMES
 from testbed.view.section import Section, Table
 
-LISTED = 6
-"""Most conditions in one line."""
+MAX_LISTED_CONSTRAINTS = 6
+"""Largest number of active constraints in one line."""
 
 
-def consistent_tables(found: Consistent) -> list[Table]:
-    """Standard parameters, link by link, and the joints' own terms.
+def consistent_tables(consistent: Consistent) -> list[Table]:
+    """Tables of the standard parameters of all links and of the joint terms.
+
+    The first has one row per link and parameter, with the value in the model file, the estimate
+    with sigma, and the data share. The data share is the fraction of the prior variance that the
+    data remove. Without joint terms there is no second table.
 
     Args:
-        found: The bodies, friction and rotors.
+        consistent: Physically consistent bodies, friction and rotors.
     """
     cells = zip(
-        [f"{value:.4g}" for value in found.prior.ravel()],
-        numbers_with_sigma(found.standard, found.sigma, short=True),
-        [f"{share:.0%}" for share in found.data_share.ravel()],
+        [f"{value:.4g}" for value in consistent.prior.ravel()],
+        numbers_with_sigma(consistent.standard, consistent.sigma, short=True),
+        [f"{share:.0%}" for share in consistent.data_share.ravel()],
         strict=True,
     )
-    rows = _body_rows(found.links, STANDARD, cells)
+    rows = _body_rows(consistent.links, STANDARD_NAMES, cells)
     title = (
         "physically consistent bodies, about and along their frames [kg, kg m, kg m^2]; data: "
         "share of the prior variance that the data remove"
@@ -39,122 +43,158 @@ def consistent_tables(found: Consistent) -> list[Table]:
     tables = [
         Table(["link", "", "model file", "estimate", "data"], rows, title, left=[""])
     ]
-    names = [f"{term.law.kind}/{found.places[term.joint]}" for term in found.terms]
+    names = [
+        f"{term.law.kind}/{consistent.places[term.joint]}" for term in consistent.terms
+    ]
     numbers = numbers_with_sigma(
-        found.coefficients, found.coefficient_sigma, short=True
+        consistent.coefficients, consistent.coefficient_sigma, short=True
     )
-    own = Table.of({"joint's own": names, "estimate": numbers})
-    return [*tables, own] if names else tables
+    joint_terms = Table.from_columns({"joint's own": names, "estimate": numbers})
+    return [*tables, joint_terms] if names else tables
 
 
 def _body_rows(
     links: Iterable[str], names: Sequence[str], cells: Iterable[tuple[str, ...]]
 ) -> list[tuple[str, ...]]:
-    """Rows of parameters, each link in the first of its own."""
-    places = product(links, names)
+    """Table rows for each link and parameter.
+
+    The link's name is in its first row only.
+
+    Args:
+        links: Labels of the links.
+        names: Names of a link's parameters, the same for all links.
+        cells: Further cells of each row, link by link.
+    """
+    pairs = product(links, names)
     return [
         (link if name == names[0] else "", name, *row)
-        for (link, name), row in zip(places, cells, strict=True)
+        for (link, name), row in zip(pairs, cells, strict=True)
     ]
 
 
-def draws_table(found: Robots) -> Table:
-    """Mean and standard deviation of all that is drawn, and whose they are.
+def sampled_robots_table(samples: RobotSamples) -> Table:
+    """Table of means and standard deviations of sampled robots, by link and parameter.
+
+    The last columns are the data share (the fraction of the prior variance that the data remove),
+    and the parameter's source according to this share: data, model file or both.
 
     Args:
-        found: The draws.
+        samples: Sampled robots.
     """
-    shares = found.share.ravel().tolist()
+    shares = samples.share.ravel().tolist()
     cells = zip(
-        numbers_with_sigma(found.mean, found.sigma, short=True),
+        numbers_with_sigma(samples.mean, samples.sigma, short=True),
         [f"{share:.0%}" for share in shares],
-        map(_origin, shares),
+        map(_parameter_source, shares),
         strict=True,
     )
-    places = map(", ".join, zip(found.links, found.joints, strict=True))
-    rows = _body_rows(places, found.names, cells)
+    labels = map(", ".join, zip(samples.links, samples.joints, strict=True))
+    rows = _body_rows(labels, samples.names, cells)
     title = (
         "robots drawn [kg, kg m, kg m^2, N m, N m s/rad]; data: share of the prior variance that "
-        f"the data remove; the model file is taken to be wrong by {found.prior_error:g}"
+        f"the data remove; the model file is taken to be wrong by {samples.prior_error:g}"
     )
     return Table(
         ["link, joint", "", "draws", "data", "from"], rows, title, left=["", "from"]
     )
 
 
-def _origin(share: float) -> str:
-    """Whose a parameter is, by the part of its variance that the data remove."""
-    if share >= DETERMINED:
-        return "data"
-    return "both" if share > 1 - DETERMINED else "model file"
+def _parameter_source(share: float) -> str:
+    """Source of a parameter according to its data share: "data", "both" or "model file".
 
-
-def consistent_lines(found: Consistent) -> list[str]:
-    """What the certificates say, a sentence each.
+    The source is "data" for a share of at least `MIN_DETERMINED_SHARE` (0.9), and "both" for a
+    share above `1 - MIN_DETERMINED_SHARE` (0.1).
 
     Args:
-        found: The bodies, friction and rotors.
+        share: Fraction of the prior variance that the data remove.
+    """
+    if share >= MIN_DETERMINED_SHARE:
+        return "data"
+    return "both" if share > 1 - MIN_DETERMINED_SHARE else "model file"
+
+
+def consistent_lines(consistent: Consistent) -> list[str]:
+    """Sentences on physically consistent bodies: changes, active constraints, prior.
+
+    They contain the body with the smallest ratio of least to greatest eigenvalue of the
+    pseudo-inertia (if any body has mass), the distance of each estimate from the consistent bodies
+    in standard deviations, at most `MAX_LISTED_CONSTRAINTS` active constraints, and the relative
+    error of the prior.
+
+    Args:
+        consistent: Physically consistent bodies, friction and rotors.
     """
     lines = []
     with np.errstate(invalid="ignore"):
-        least = found.eigenvalues[:, 0] / found.eigenvalues[:, -1]
-    massive = found.eigenvalues[:, -1] > 0
-    if massive.any():
-        worst = int(np.where(massive, least, np.inf).argmin())
+        eigenvalue_ratios = consistent.eigenvalues[:, 0] / consistent.eigenvalues[:, -1]
+    has_mass = consistent.eigenvalues[:, -1] > 0
+    if has_mass.any():
+        smallest = int(np.where(has_mass, eigenvalue_ratios, np.inf).argmin())
         lines.append(
             f"Every body is physically consistent: least eigenvalue of a pseudo-inertia over its "
-            f"greatest {least[worst]:.2g}, of '{found.links[worst]}'."
+            f"greatest {eigenvalue_ratios[smallest]:.2g}, of '{consistent.links[smallest]}'."
         )
-    for each in found.bent:
-        most = int(np.argmax(np.abs(each.sigmas)))
+    for comparison in consistent.bent:
+        largest = int(np.argmax(np.abs(comparison.sigmas)))
         lines.append(
-            f"The estimate by the {NAMES[each.method]} changes by {each.distance:.2g} standard "
-            f"deviations in all (about {np.sqrt(len(each.names)):.2g} is expected), most in "
-            f"{each.names[most]} "
-            f"({each.sigmas[most]:+.2g})."
+            f"The estimate by the {METHOD_LABELS[comparison.method]} changes by "
+            f"{comparison.distance:.2g} standard deviations in all (about "
+            f"{np.sqrt(len(comparison.names)):.2g} is expected), most in "
+            f"{comparison.names[largest]} ({comparison.sigmas[largest]:+.2g})."
         )
-    if found.binding:
-        more = (
-            f" and {len(found.binding) - LISTED} more"
-            if len(found.binding) > LISTED
+    if consistent.binding:
+        remainder = (
+            f" and {len(consistent.binding) - MAX_LISTED_CONSTRAINTS} more"
+            if len(consistent.binding) > MAX_LISTED_CONSTRAINTS
             else ""
         )
-        lines.append(f"At their limits: {'; '.join(found.binding[:LISTED])}{more}.")
+        lines.append(
+            f"At their limits: {'; '.join(consistent.binding[:MAX_LISTED_CONSTRAINTS])}{remainder}."
+        )
     lines.append(
         f"Prior: the model file's bodies, with a relative standard deviation of "
-        f"{found.prior_error:.2g}; data is the share of that variance which the data remove."
+        f"{consistent.prior_error:.2g}; data is the share of that variance which the data remove."
     )
     return lines
 
 
-def bodies_section(found: Consistent) -> Section:
-    """Mass, centre and share of the data of every link.
+def bodies_section(consistent: Consistent) -> Section:
+    """Section with mass, centre of mass and data share of every link.
 
     Args:
-        found: Consistent bodies of a run.
+        consistent: Consistent bodies of a run.
     """
     return Section(
         id="bodies",
         title="Physically consistent bodies",
-        says=" ".join(consistent_lines(found)),
+        explanation=" ".join(consistent_lines(consistent)),
         caption=(
             "Data is the share of the prior variance that the data remove, averaged over a link's "
             "ten parameters. The viewer draws each link as an ellipsoid of uniform density."
         ),
         table=Table(
             ["link", "mass, model file [kg]", "mass [kg]", "centre [m]", "data"],
-            [_row(found, k) for k in range(len(found.links))],
+            [_link_row(consistent, k) for k in range(len(consistent.links))],
         ),
     )
 
 
-def _row(found: Consistent, k: int) -> list[str]:
-    mass = found.standard[k, 0]
-    centre = found.standard[k, 1:4] / mass if mass else np.zeros(3)
+def _link_row(consistent: Consistent, k: int) -> list[str]:
+    """Table row of a link: prior mass, mass with sigma, centre of mass, data share.
+
+    The centre of mass is in the body frame [m], and zero for a massless link. The data share is the
+    mean over the link's ten parameters.
+
+    Args:
+        consistent: Consistent bodies.
+        k: Index of the link.
+    """
+    mass = consistent.standard[k, 0]
+    centre = consistent.standard[k, 1:4] / mass if mass else np.zeros(3)
     return [
-        found.links[k],
-        f"{found.prior[k, 0]:.4g}",
-        f"{mass:.4g} +- {found.sigma[k, 0]:.2g}",
+        consistent.links[k],
+        f"{consistent.prior[k, 0]:.4g}",
+        f"{mass:.4g} +- {consistent.sigma[k, 0]:.2g}",
         " ".join(f"{x:.4f}" for x in centre),
-        f"{found.data_share[k].mean():.0%}",
+        f"{consistent.data_share[k].mean():.0%}",
     ]

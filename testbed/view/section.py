@@ -1,4 +1,4 @@
-"""A result as people see it, once: sections with tables, for terminal, page and Rerun's viewer."""
+"""Sections with tables and panels: contents of results for terminal, HTML page and Rerun viewer."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from testbed.view.figures import Panel
 
 @dataclass(frozen=True)
 class Table:
-    """Words in rows and columns.
+    """Table of texts, with column heads and a title.
 
     Attributes:
-        heads: Of the columns; the first names the rows.
-        rows: A cell a column.
-        title: Above it.
-        left: Heads of columns of words, which begin at the left as the first does.
-        parts: Columns, the first apart, that stand together where not all have room.
+        heads: Heads of the columns; the first column contains the names of the rows.
+        rows: Rows, one cell per column.
+        title: Title above the table.
+        left: Heads of further left-aligned columns; the first column is always left-aligned.
+        parts: Groups of columns, without the first column, that become separate tables if the table
+            is too wide.
     """
 
     heads: Sequence[str]
@@ -27,30 +28,43 @@ class Table:
     parts: Sequence[Sequence[int]] = ()
 
     @staticmethod
-    def of(
+    def from_columns(
         columns: Mapping[str, Sequence[str]],
         title: str = "",
         left: Sequence[str] = (),
         parts: Sequence[Sequence[int]] = (),
     ) -> Table:
-        """Table of columns of equal length, by their heads."""
+        """Build a table from columns of equal length.
+
+        Args:
+            columns: Cells of the columns, keyed by head.
+            title: Title above the table.
+            left: Heads of left-aligned columns.
+            parts: Groups of columns that become separate tables if the table is too wide.
+        """
         rows = list(zip(*columns.values(), strict=True))
         return Table([*columns], rows, title, left, parts)
 
     @property
     def split(self) -> list[Table]:
-        """A table for each part."""
-        found = []
+        """Separate tables for the groups of columns in `parts`, each with the first column.
+
+        If there are no groups, the result is one table with all columns.
+        """
+        tables = []
         for part in self.parts or [range(1, len(self.heads))]:
             heads, *rows = (
                 [line[0], *(line[k] for k in part)] for line in (self.heads, *self.rows)
             )
-            found.append(Table(heads, rows, self.title, self.left))
-        return found
+            tables.append(Table(heads, rows, self.title, self.left))
+        return tables
 
     @property
     def markdown(self) -> str:
-        """As Rerun's viewer shows it."""
+        """Markdown text of the table without its title, for the Rerun viewer.
+
+        Vertical bars in cells are replaced by slashes, and +- by ±.
+        """
         lines = [self.heads, ["---"] * len(self.heads), *self.rows]
         cells = (
             [cell.replace("|", "/").replace("+-", "±") for cell in line]
@@ -61,22 +75,22 @@ class Table:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Section:
-    """A part of a result: what it says, drawn and as a table.
+    """Part of a result: explanation, panels and table.
 
     Attributes:
-        id: Its place on a page.
-        title: Above it.
-        says: What there is to see, in a few sentences.
-        legend: What curves are, by their kind.
-        panels: Drawings.
-        shown: How many of these are not folded away; None for all.
-        caption: Below them.
-        table: The same in numbers.
+        id: Anchor on a page.
+        title: Title of the section.
+        explanation: Explanation of the panels in a few sentences.
+        legend: Labels of the curves, keyed by kind.
+        panels: Plots of the section.
+        shown: Number of panels that are visible without unfolding; None for all.
+        caption: Caption below the panels.
+        table: Table with the numbers behind the panels.
     """
 
     id: str
     title: str
-    says: str
+    explanation: str
     legend: Mapping[str, str] = field(default_factory=dict)
     panels: Sequence[Panel] = ()
     shown: int | None = None

@@ -14,44 +14,44 @@ from typing import Any
 import numpy as np
 import pytest
 
-from testbed.core.base.child_process import Returned, call_in_child
+from testbed.core.base.child_process import ChildResult, call_in_child
 from testbed.core.base.errors import ModelError, RecordingError
 
 GB = 1_000_000_000
 
 
-def echo(said: Any) -> Returned:
+def echo(said: Any) -> ChildResult:
     return said, {"a/\udc80": np.arange(3), "": np.ones((2, 2))}
 
 
-def crash(_file: str) -> Returned:
+def crash(_file: str) -> ChildResult:
     return ctypes.string_at(0), {}
 
 
-def loop(_file: str) -> Returned:
+def loop(_file: str) -> ChildResult:
     while True:
         pass
 
 
-def hoard(_file: str) -> Returned:
+def hoard(_file: str) -> ChildResult:
     return None, {"a": np.ones(10**10)}
 
 
-def flood(file: str) -> Returned:
+def flood(file: str) -> ChildResult:
     with Path(file).open("wb") as stream:
         stream.truncate(3 * GB)
     return None, {}
 
 
-def refuse(file: str) -> Returned:
+def refuse(file: str) -> ChildResult:
     raise RecordingError(f"{file}: no")
 
 
-def fail(file: str) -> Returned:
+def fail(file: str) -> ChildResult:
     raise KeyError(file)
 
 
-def objects(_file: str) -> Returned:
+def objects(_file: str) -> ChildResult:
     return None, {"a": np.array([print], dtype=object)}
 
 

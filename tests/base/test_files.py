@@ -13,13 +13,13 @@ from types import ModuleType
 import pytest
 
 from testbed.core.base import files
-from testbed.core.base.files import check_writable, replacing, together
+from testbed.core.base.files import atomic_output, check_writable, replace_together
 from tests.helpers.refusals import refuses
 
 
 def write(place: Path, kind: str, word: str = "new") -> None:
     """Replace a file, or a folder of two files that agree, by whole content."""
-    with replacing(place, folder=kind == "folder") as fresh:
+    with atomic_output(place, folder=kind == "folder") as fresh:
         for path in (fresh / "a", fresh / "b") if kind == "folder" else (fresh,):
             path.parent.mkdir(exist_ok=True)
             path.write_text(f"{word} " * 2000)
@@ -70,7 +70,7 @@ def test_what_fails_leaves_everything_as_it_was(kind: str, tmp_path: Path) -> No
     for target in (tmp_path / "place", tmp_path / "new" / "deep" / "place"):
         with (  # noqa: PT012
             pytest.raises(ZeroDivisionError),
-            replacing(target, folder=kind == "folder") as fresh,
+            atomic_output(target, folder=kind == "folder") as fresh,
         ):
             (fresh if kind == "folder" else fresh.parent).mkdir(exist_ok=True)
             (fresh / "a" if kind == "folder" else fresh).write_text("half")
@@ -156,7 +156,7 @@ def test_of_several_that_are_written_together_all_are_replaced_or_none(
         write(place, kind, "before")
 
     def write_all(*, then: Callable[[], object] = lambda: None) -> None:
-        with together():
+        with replace_together():
             for place in (old, new, last):
                 write(place, kind, "after")
             assert content(old) == "before"
@@ -183,7 +183,7 @@ def test_what_another_program_makes_or_changes_meanwhile_is_not_replaced(
     place = tmp_path / "place"
     if before:
         write(place, kind, "old")
-    with files.guarded():
+    with files.refuse_changed_targets():
         check_writable(place, folder=kind == "folder")
         write(place, kind, "mine")  # its own change is known
         if kind == "folder":

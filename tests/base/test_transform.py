@@ -7,7 +7,7 @@ import pinocchio as pin
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
-from testbed.core.base.arrays import apply
+from testbed.core.base.arrays import multiply_vectors
 from testbed.core.base.transform import Transform
 from tests.helpers.strategies import rngs
 
@@ -25,4 +25,4 @@ def test_points_wrenches_and_twists_are_those_of_pinocchio(rng: np.random.Genera
         np.testing.assert_allclose(X_AC.inverse.point(p)[k], M_AC.actInv(p[k]), atol=1e-12)
         V_C = X_AC.wrench_matrix[k].T @ V[k]
         np.testing.assert_allclose(V_C, M_AC.actInv(pin.Motion(V[k])).vector, atol=1e-12)
-    np.testing.assert_allclose(apply(X_AC.wrench_matrix, F), X_AC.wrench(F), atol=1e-12)
+    np.testing.assert_allclose(multiply_vectors(X_AC.wrench_matrix, F), X_AC.wrench(F), atol=1e-12)

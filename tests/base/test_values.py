@@ -12,10 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from testbed.core.base.arrays import readonly
+from testbed.core.base.arrays import readonly_array
 from testbed.core.base.blas import eigh, one_blas_thread
-from testbed.core.base.errors import UnknownName, printable
-from testbed.core.base.installation import DISTRIBUTION, own_or_shipped, shipped, version
+from testbed.core.base.errors import UnknownName, printable_line
+from testbed.core.base.installation import (
+    DISTRIBUTION,
+    installed_version,
+    shipped,
+    user_or_shipped_file,
+)
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few
@@ -24,15 +29,15 @@ from tests.helpers.strategies import few
 def test_what_a_value_was_made_of_cannot_change_it_and_wrong_shapes_are_named() -> None:
     """An estimate would change with a list that somebody goes on using."""
     loose = np.zeros(3)
-    kept = readonly(loose, (3,), "speed")
+    kept = readonly_array(loose, (3,), "speed")
     loose[0] = 1.0
     assert kept[0] == 0.0
     assert not kept.flags.writeable
-    assert readonly([[1]], (1, None), "t").dtype == np.float64
-    assert np.shares_memory(readonly(kept[1:], (2,), "speed"), kept)  # no copy without need
+    assert readonly_array([[1]], (1, None), "t").dtype == np.float64
+    assert np.shares_memory(readonly_array(kept[1:], (2,), "speed"), kept)  # no copy without need
     for shape in [(2,), (3, 1), (), (4,)]:
         with refuses(ValueError, "speed", str(shape)):
-            readonly(np.zeros(shape), (3,), "speed")
+            readonly_array(np.zeros(shape), (3,), "speed")
 
 
 def test_one_thread_is_used_meanwhile_and_as_many_as_before_afterwards() -> None:
@@ -55,9 +60,9 @@ def test_a_message_from_any_file_is_one_line_that_no_terminal_obeys(
     text: str, times: int, limit: int
 ) -> None:
     """Names of a model file could clear a screen, or drive everything else off it."""
-    shown, plain = printable(text * times, limit), " ".join((text * times).split())
+    shown, plain = printable_line(text * times, limit), " ".join((text * times).split())
     assert shown == "" or shown.isprintable()
-    assert len(shown) <= limit == len(printable("x" * 501, limit))
+    assert len(shown) <= limit == len(printable_line("x" * 501, limit))
     if plain.isprintable():
         assert shown == plain or len(plain) > limit
         start, _, end = shown.partition("...")
@@ -95,9 +100,9 @@ def test_shipped_files_are_found_by_short_names_and_an_own_file_comes_first(
         with refuses(FileNotFoundError, other):
             shipped(other)
     monkeypatch.chdir(tmp_path)
-    assert own_or_shipped("puma562.xml") == ROOT / "models/puma562.xml"
+    assert user_or_shipped_file("puma562.xml") == ROOT / "models/puma562.xml"
     Path("puma562.xml").touch()
-    assert own_or_shipped("puma562.xml") == Path("puma562.xml")
+    assert user_or_shipped_file("puma562.xml") == Path("puma562.xml")
 
 
 def test_an_installed_package_holds_all_that_its_experiments_refer_to() -> None:
@@ -113,5 +118,8 @@ def test_an_installed_package_holds_all_that_its_experiments_refer_to() -> None:
 
 
 def test_the_version_is_the_projects() -> None:
-    assert (PROJECT["project"]["name"], PROJECT["project"]["version"]) == (DISTRIBUTION, version())
-    assert f"\nversion: {version()}\n" in (ROOT / "CITATION.cff").read_text()
+    assert (PROJECT["project"]["name"], PROJECT["project"]["version"]) == (
+        DISTRIBUTION,
+        installed_version(),
+    )
+    assert f"\nversion: {installed_version()}\n" in (ROOT / "CITATION.cff").read_text()

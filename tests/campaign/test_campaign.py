@@ -18,9 +18,9 @@ from scipy.stats import binomtest
 
 from testbed.campaigns import conduct as conducting
 from testbed.campaigns.campaign import Campaign
-from testbed.campaigns.conduct import CampaignRun, conduct, places_of
-from testbed.campaigns.results import read_results
-from testbed.campaigns.summary import coverage_of, summarise
+from testbed.campaigns.conduct import CampaignRun, campaign_runs, conduct
+from testbed.campaigns.results import read_campaign_results
+from testbed.campaigns.summary import coverage_with_interval, summarise
 from testbed.core.base.errors import ExperimentError, TestbedError
 from tests.helpers.campaigns import NOISES, campaign_file, made_up
 from tests.helpers.paths import ROOT
@@ -49,7 +49,7 @@ def table(folder: Path) -> bytes:
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
-    return read_results(folder / "results.parquet").rows
+    return read_campaign_results(folder / "results.parquet").rows
 
 
 def test_a_level_goes_where_it_is_asked_for_and_cells_share_seeds(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_a_run_is_known_by_all_that_determines_it_and_by_nothing_else(
 
     def known(*words: str, more: str = "") -> str:
         path = campaign_file(tmp_path, 1, more=more, words=words)
-        return places_of(Campaign.load(path))[0].run
+        return campaign_runs(Campaign.load(path))[0].digest
 
     here = known()
     assert known("name=other", "claim=none") == known("motion.candidates=1") == here
@@ -108,7 +108,7 @@ def test_a_run_is_known_by_all_that_determines_it_and_by_nothing_else(
 def test_what_ships_can_be_carried_out() -> None:
     for path in sorted((ROOT / "experiments/campaigns").glob("*.toml")):
         campaign = Campaign.load(path)
-        runs = {place.run for place in places_of(campaign)}
+        runs = {place.digest for place in campaign_runs(campaign)}
         assert len(runs) == len(campaign.cells) * campaign.tables.replicates
         assert campaign.tables.claim
         assert path.stem == campaign.tables.name
@@ -130,7 +130,7 @@ def test_whatever_interrupts_it_it_goes_on_to_the_same_table(
         left[0] -= 1
         if left[0] == 0:
             raise Killed
-        asked.append(place.run)
+        asked.append(place.digest)
         failed = {"status": "failed", "error": "because"} if left[0] == 3 else {}
         return made_up(campaign, place) | failed
 
@@ -138,8 +138,8 @@ def test_whatever_interrupts_it_it_goes_on_to_the_same_table(
     monkeypatch.setattr(conducting, "carry_out_run", work)
     with pytest.raises(Killed):
         conduct(campaign, tmp_path / "parts")
-    places = places_of(campaign)
-    assert [row["run"] for row in rows(tmp_path / "parts")] == [each.run for each in places[:4]]
+    places = campaign_runs(campaign)
+    assert [row["run"] for row in rows(tmp_path / "parts")] == [each.digest for each in places[:4]]
     (failed,) = (row for row in rows(tmp_path / "parts") if row["status"] != "done")
     assert failed["command"].startswith("testbed run ")
     seen: list[tuple[int, int]] = []
@@ -212,7 +212,7 @@ def test_a_summary_has_median_error_and_coverage_of_each_cell(
     assert [each.levels for each in cells] == [{"noise": 0.5}, {"noise": 2.0}]
     for each in cells:
         here = [row for row in found if row["cell"] == each.cell]
-        errors = [row["metric/external_rms_relative_error"] for row in here]
+        errors = [row["metric/wrench_rms_relative_error"] for row in here]
         assert each.runs == len(here) == 20
         assert each.error == np.median(errors)
         every = [p for row in here for p in row["estimates"]]
@@ -224,11 +224,11 @@ def test_a_summary_has_median_error_and_coverage_of_each_cell(
 def test_bounds_of_coverage_are_exact_and_as_wide_as_runs_are_alike() -> None:
     for inside, runs in ((0, 5), (5, 5), (190, 200)):
         wanted = binomtest(inside, runs).proportion_ci(0.95, "exact")
-        found = coverage_of([[k < inside] for k in range(runs)])
+        found = coverage_with_interval([[k < inside] for k in range(runs)])
         assert found == pytest.approx((inside / runs, wanted.low, wanted.high), abs=2e-4)
-    alone = coverage_of([[k < 18] for k in range(20)])
-    assert coverage_of([[k < 18] * 7 for k in range(20)]) == pytest.approx(alone)
-    assert all(math.isnan(each) for each in coverage_of([]))
+    alone = coverage_with_interval([[k < 18] for k in range(20)])
+    assert coverage_with_interval([[k < 18] * 7 for k in range(20)]) == pytest.approx(alone)
+    assert all(math.isnan(each) for each in coverage_with_interval([]))
 
 
 def damaged(good: pa.Table) -> Iterator[tuple[str, pa.Table]]:
@@ -251,7 +251,7 @@ def test_a_damaged_table_is_refused(tmp_path: Path, campaign: Campaign) -> None:
     for said in (b"", b"[]", b"{", b"{}"):
         pq.write_table(good.replace_schema_metadata({b"testbed": said}), path)
         with refuses(TestbedError, "results.parquet"):
-            read_results(path)
+            read_campaign_results(path)
     wide = good.set_column(0, "run", good["run"].cast(pa.large_string()))
     pq.write_table(wide.append_column("mine", wide["cell"]), path)
-    assert read_results(path).rows == good.to_pylist()
+    assert read_campaign_results(path).rows == good.to_pylist()

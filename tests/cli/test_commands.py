@@ -35,21 +35,21 @@ RESULT = (
 """Keys of a run's and of a recording's."""
 COMMANDS = {
     "minimal": ("minimal puma562.xml --zeros --verify --terms rotor --map --json",
-                "S drives dynamic gravity joints map parameters reaction robot verified"),
+                "S drives gravity joints map parameters robot torque verified wrench"),
     "minimal, latex": ("minimal puma562.xml --latex --tared --zero mb1x", ""),
     "equations": ("equations puma562.xml --what gravity-forces --zeros --json",
                   "constants equations form gravity robot text"),
     "simulate": (f"simulate table.toml {QUICK} --out OUT/s.parquet", ""),
     "run": (f"run table.toml {QUICK} --set expect={{}} --all --out OUT/run", ""),
     "run, claim": (f"run table.toml {QUICK} --set seed=7 --out OUT/claim --json "
-                   "--set expect.external_max_z.at_most=1e-9", f"{RESULT} folder"),
+                   "--set expect.wrench_max_z.at_most=1e-9", f"{RESULT} folder"),
     "identify": (f"identify one.parquet {ROBOT} --zeros --all --json",
                  RESULT),
     "identify, plate": (f"identify one.parquet {ROBOT} --zeros --plate OUT/plate.toml --json",
                         RESULT),
     "identify, write": (f"identify one.parquet {ROBOT} --write OUT/made.xml --json",
                         RESULT),
-    "validate": ("validate other.parquet result.json --json", "external internal"),
+    "validate": ("validate other.parquet result.json --json", "wrench torque"),
     "calibrate": (f"calibrate one.parquet {ROBOT} --zeros --known mass=20 --known gain/Fz=1+-1e-3 "
                   "--out OUT/plate.toml --json",
                   "correlation estimate known matrix matrix_sigma numbers robot"),
@@ -62,10 +62,10 @@ COMMANDS = {
                "joints links mean names prior_error share sigma"),
     "sample, run": ("sample run -n 3 --out OUT/drawn", ""),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
-                "centre chance covariance diagnostics identifiable joint names rank sigma "
+                "centre covariance diagnostics identifiable joint names p_value rank sigma "
                 "unidentifiable units values"),
     "tool": (f"tool one.parquet {ROBOT} --sensor link3 --json",
-             "centre chance covariance diagnostics identifiable joint names rank sigma "
+             "centre covariance diagnostics identifiable joint names p_value rank sigma "
              "unidentifiable units values"),
     "report": ("report OUT/run --out OUT/run.html", ""),
     "view": (f"view OUT/run no_torque.parquet {ROBOT} --save OUT/run.rrd", ""),
@@ -77,9 +77,9 @@ COMMANDS = {
                "complete criterion diagnostics file fundamental gain harmonics predicted proof "
                "random searches value"),
     "excite, check": ("excite OUT/m.toml --check --json",
-                      "binding holds instants margins postures"),
+                      "binding instants is_valid margins postures"),
     "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={j1=0.01} --json",
-                         "binding holds instants margins postures"),
+                         "binding instants is_valid margins postures"),
     "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
     "import": ("import map.toml --out OUT/i.parquet --json", "clocks diagnostics import"),
     "import, guess": ("import --guess log.csv", ""),
@@ -198,7 +198,7 @@ def test_the_terminal_shows_the_numbers_of_the_json(told: Told) -> None:
         assert len(wanted) >= 9
         assert [each for each in wanted if not shows(text, *each)] == [], command
     minimal, text = json.loads(told("minimal").stdout), told("minimal", text=True).stdout
-    for model in ("dynamic", "reaction"):
+    for model in ("torque", "wrench"):
         assert [name for name in minimal[model]["names"] if name not in text] == []
     assert told("equations", text=True).stdout == json.loads(told("equations").stdout)["text"]
 
@@ -216,7 +216,7 @@ def test_a_calibrated_plate_is_taken_back_and_its_doubt_is_in_sigma(told: Told) 
     """Else a plate that is known to a percent would promise a thousandth."""
     assert told("calibrate").returncode == 0
     found = (json.loads(told(name).stdout) for name in ("identify", "identify, plate"))
-    plain, by_plate = (each["estimates"]["external"] for each in found)
+    plain, by_plate = (each["estimates"]["wrench"] for each in found)
     assert plain["names"] == by_plate["names"]
     assert plain["values"] != by_plate["values"]
     pairs = zip(plain["sigma"], by_plate["sigma"], strict=True)
@@ -277,7 +277,7 @@ def test_the_verdict_is_first_and_what_it_is_about_is_validated(place: Path, out
         assert (codes == ["verdict.well"]) == (first["level"] == "info")
         assert "no-signal" not in {each["code"].partition(".")[2] for each in said["verdict"]}
         words = f"validate other.parquet {out / 'said.json'}"
-        found = answer(words, place)["internal"]
+        found = answer(words, place)["torque"]
         candidates = found["errors"]["residual"]
         assert found["held"] == held
         assert {"file", "refitted", "plain", "posterior"} <= {*candidates}
@@ -310,12 +310,12 @@ def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -
     said = command_line("identify", "r.parquet", *MODEL, "--set", TERMS, "--json", cwd=tmp_path)
     (tmp_path / "result.json").write_text(said.stdout)
     found = json.loads(said.stdout)
-    left = np.array(found["estimates"]["internal"]["residual"])
+    left = np.array(found["estimates"]["torque"]["residual"])
     assert np.sqrt(np.mean(left[:4] ** 2)) < 0.75  # N m, of literature's fits of these data
-    added = found["posterior"]["internal"]
+    added = found["posterior"]["torque"]
     assert added["used"]
     assert len(added["determined"]) < added["count"]
-    judged = answer(f"validate second.toml result.json {shlex.join(MODEL)}", tmp_path)["internal"]
+    judged = answer(f"validate second.toml result.json {shlex.join(MODEL)}", tmp_path)["torque"]
     total = {name: np.linalg.norm(each) for name, each in judged["errors"]["residual"].items()}
     assert total["posterior"] < total["refitted"] < total["file"]
     words = ("report", "first.toml", *MODEL, "--validate", "second.toml", "--out", "page.html")

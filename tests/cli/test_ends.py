@@ -17,7 +17,7 @@ from unittest.mock import Mock
 import pytest
 
 from testbed.cli import main, starting
-from testbed.core.base.errors import LONGEST_MESSAGE, ModelError, TestbedError, UnknownName
+from testbed.core.base.errors import MAX_MESSAGE_LENGTH, ModelError, TestbedError, UnknownName
 from testbed.view.output import Progress
 from tests.helpers.command import CLI, command_line
 from tests.helpers.modules import MODULES
@@ -70,7 +70,7 @@ def test_whatever_happens_is_one_line_and_an_exit_code(
         assert lines[-1].startswith("testbed: " if said else "")
         assert lines[-1].isprintable()
         assert len(lines) == 1 or "of ours" in said
-        assert len(lines[-1]) <= LONGEST_MESSAGE + len("testbed: ")
+        assert len(lines[-1]) <= MAX_MESSAGE_LENGTH + len("testbed: ")
 
 
 def test_output_that_nobody_takes(place: Path) -> None:
@@ -139,15 +139,15 @@ LONG = {
     "lab.experiment.carry_out:evaluate": "run table.toml --set motion.duration=2",
     "lab.experiment.new_experiment:new_experiment": "new two.urdf",
     "lab.experiment.run:assemble_run": f"report {PUMA}",
-    "importing.convert:pieces": "import map.toml --out x.parquet",
-    "importing.guess:guessed": "import --guess log.csv",
+    "importing.convert:import_recordings": "import map.toml --out x.parquet",
+    "importing.guess:guess_mapping": "import --guess log.csv",
     "importing.check.check:import_and_check": "import map.toml --out x.parquet --model two.urdf",
-    "applications.analysis:estimate_of": f"identify {PUMA}",
+    "applications.analysis:identify_problem": f"identify {PUMA}",
     "applications.drives.identify_drives:identify_drives": f"drives {PUMA}",
     "core.estimation.identify:identify": "payload one.parquet " + PUMA,
     "applications.analysis:consistent": f"identify {PUMA} --consistent",
     "applications.calibration:calibrate": f"calibrate {PUMA} --known mass=20",
-    "view.viewer.log:write_rrd": f"view {PUMA} --save x.rrd",
+    "view.viewer.log:write_runs_rrd": f"view {PUMA} --save x.rrd",
     "campaigns.conduct:conduct": "campaign quick.toml --workers 0",
     "core.kernel.warm_up:warm_up": "doctor --compile",
 }  # fmt: skip
@@ -166,7 +166,7 @@ def test_nothing_long_is_silent(place: Path, tmp_path: Path) -> None:
         shown: list[bool] = []
 
         def ended(*_: Any, seen: list[bool] = shown, **__: Any) -> Any:
-            seen.append(bool(Progress._shown))
+            seen.append(bool(Progress._open_bars))
             raise TestbedError("far enough")
 
         with pytest.MonkeyPatch.context() as patch:
@@ -182,7 +182,7 @@ def test_what_is_missing_or_old_is_said_with_its_cure(monkeypatch: pytest.Monkey
     asked = ["numpy>=99", "not-there-at-all", "pytest>=1", "h5py>=99; extra == 'import'"]
     asked += ["ruff>=1; extra == 'dev'"]
     monkeypatch.setattr(starting, "requires", lambda name: asked)
-    found = {each.name: each for each in starting.checkup()}
+    found = {each.name: each for each in starting.installation_checks()}
     assert "ruff" not in found
     for name, fine, needed, cure in (
         ("numpy", False, True, "pip install 'numpy>=99'"),

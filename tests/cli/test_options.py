@@ -11,7 +11,7 @@ import pytest
 from typer.models import OptionInfo
 
 from testbed.cli.commands import app
-from testbed.cli.reading import Reading
+from testbed.cli.reading import ReadingOptions
 from tests.helpers.command import command_line
 from tests.helpers.runs import MODELS
 
@@ -108,28 +108,33 @@ def test_a_campaign_keeps_the_file_that_asks_for_it(place: Path, tmp_path: Path)
 
 def test_of_an_option_and_a_setting_the_option_counts() -> None:
     """Else a joint is held elsewhere than the command line says, or other terms are estimated."""
-    held = Reading(MODELS["puma"], ["robot.lock.waist=0.25"], lock=["waist=0.5", "elbow"])
+    held = ReadingOptions(MODELS["puma"], ["robot.lock.waist=0.25"], lock=["waist=0.5", "elbow"])
     assert dict(held.file.lock) == {"waist": 0.5, "elbow": None}
-    told = Reading(settings=['identification.terms=["rotor"]'], terms="coulomb,viscous", zeros=True)
+    told = ReadingOptions(
+        settings=['identification.terms=["rotor"]'], terms="coulomb,viscous", zeros=True
+    )
     table = told.tables.identification
     assert (table.terms, table.zeros) == (("coulomb", "viscous"), True)
-    assert Reading(terms="auto").tables.identification.terms == "auto"
+    assert ReadingOptions(terms="auto").tables.identification.terms == "auto"
 
 
 @pytest.mark.slow
 def test_a_joint_that_follows_is_held_where_it_is_told_to_be(place: Path) -> None:
     path = place / "mimic.urdf"
-    for how in (Reading(path, lock_mimic=True), Reading(path, ["robot.lock_mimic=true"])):
+    for how in (
+        ReadingOptions(path, lock_mimic=True),
+        ReadingOptions(path, ["robot.lock_mimic=true"]),
+    ):
         assert dict(how.file.lock) == {"j2": None}
         placed = replace(how, lock=["j2=0.5"])
         assert dict(placed.file.lock) == {"j2": 0.5}
-    assert not Reading(path, ["robot.lock_mimic=false"]).file.lock
+    assert not ReadingOptions(path, ["robot.lock_mimic=false"]).file.lock
 
 
 def test_a_floating_root_is_welded_where_it_is_said_or_its_base_is_measured() -> None:
     for reading, welded in (
-        (Reading(weld_root=True, settings=["identification.zeros=true"]), True),
-        (Reading(settings=['robot.base="measured"']), True),
-        (Reading(settings=["identification.zeros=true"]), False),
+        (ReadingOptions(weld_root=True, settings=["identification.zeros=true"]), True),
+        (ReadingOptions(settings=['robot.base="measured"']), True),
+        (ReadingOptions(settings=["identification.zeros=true"]), False),
     ):
         assert replace(reading, model=MODELS["puma"]).file.weld_root is welded

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from testbed.core.base.file_kinds import BELONGS, kind_of
+from testbed.core.base.file_kinds import USAGE, kind_of
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import is_message
@@ -76,7 +76,7 @@ identification.span=[3,1] | span 3 1
 robot.base="measured" | robot.base
 robot.lock.hip=0 | 'hip' waist
 robot.joint.hip.coulomb=1 | 'hip' elbow
-expect={{internal_rms_relative_error={{}}}} | at_most
+expect={{torque_rms_relative_error={{}}}} | at_most
 expect.speed.at_most=1 | 'speed'
 consistent.prior_error=0 | prior_error
 """
@@ -248,5 +248,5 @@ def test_a_command_says_what_it_was_given(words: str, place: Path, tmp_path: Pat
             assert done.returncode == 2, (words, name)
             (line,) = done.stderr.replace(f"{home}/", "").splitlines()
             assert kind in line, line
-            assert BELONGS[kind].replace("{}", name) in line, line
+            assert USAGE[kind].replace("{}", name) in line, line
             assert len(line) <= 300, line

@@ -14,16 +14,16 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.force_derivatives import force_derivatives
-from testbed.core.dynamics.newton_euler import blocks, parameter_regressor, poses
-from testbed.core.parameters.rules import Model
-from testbed.core.robot.rotations import from_vector
+from testbed.core.dynamics.newton_euler import parameter_regressor, poses, sample_slices
+from testbed.core.parameters.rules import Signal
+from testbed.core.robot.rotations import rotvec_to_matrix
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_states
 from tests.helpers.sensors import random_cut
 from tests.helpers.strategies import Rng, few, rngs, robots, trees
 
 WITNESS = 1e-12  # relative to the largest entry
-MODELS: tuple[Model, ...] = ("dynamic", "reaction")
+MODELS: tuple[Signal, ...] = ("torque", "wrench")
 
 
 def motion(rng: Rng, samples: int, n: int) -> tb.Motion:
@@ -58,11 +58,11 @@ def test_forces_wrench_and_poses_are_pinocchios(robot: Robot, rng: Rng) -> None:
 
 
 @given(robots(), rngs, st.sampled_from(MODELS), st.booleans())
-def test_regressors_give_the_forces(robot: Robot, rng: Rng, model: Model, zeros: bool) -> None:
+def test_regressors_give_the_forces(robot: Robot, rng: Rng, model: Signal, zeros: bool) -> None:
     """Minimal ones and all ten a body, also under a gravity that is not the file's."""
     tree = robot.tree()
     states, theta = motion(rng, 10, tree.n), tb.barycentric(tree)
-    force_of = tb.joint_forces if model == "dynamic" else tb.base_wrench
+    force_of = tb.joint_forces if model == "torque" else tb.base_wrench
     for gravity in (None, rng.normal(size=3) * 5):
         force = force_of(tree, states, gravity)
         minimal = tb.minimal_set(tree, model, gravity, zeros=zeros)
@@ -128,7 +128,7 @@ def test_derivatives_by_frames_are_those_of_other_trees(robot: Robot, rng: Rng) 
         across = first / np.linalg.norm(first)
         for k, axis in enumerate((across, np.cross(own.axis, across))):
             forces = [
-                _forces(tree, joint, states, rotation=own.rotation @ from_vector(s * axis))
+                _forces(tree, joint, states, rotation=own.rotation @ rotvec_to_matrix(s * axis))
                 for s in (step, -step)
             ]
             found = (forces[0] - forces[1]) / (2 * step)
@@ -140,7 +140,7 @@ def test_derivatives_by_frames_are_those_of_other_trees(robot: Robot, rng: Rng) 
     # gravity turns the other way where the base turns; forces are about the bedplate's axes
     wrench = whole.wrench_slopes.position[:, :, 6 * n + 3 :]
     for k, axis in enumerate(np.eye(3)):
-        g = [from_vector(-s * axis) @ tree.gravity for s in (step, -step)]
+        g = [rotvec_to_matrix(-s * axis) @ tree.gravity for s in (step, -step)]
         torque = (tb.joint_forces(tree, states, g[0]) - tb.joint_forces(tree, states, g[1])) / (
             2 * step
         )
@@ -174,7 +174,7 @@ def test_a_samples_forces_depend_on_it_alone(tree: tb.Tree, rng: Rng, first: int
     whole = tb.base_wrench(tree, states)
     np.testing.assert_array_equal(whole[part], tb.base_wrench(tree, states[part]))
     for samples in (0, 3, 4, 9):
-        taken = [np.arange(samples)[part] for part in blocks(samples, 4)]
+        taken = [np.arange(samples)[part] for part in sample_slices(samples, 4)]
         assert all(0 < len(part) <= 4 for part in taken)
         assert [k for part in taken for k in part] == list(range(samples))
 

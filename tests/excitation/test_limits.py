@@ -10,22 +10,46 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.bodies.shapes.shapes import Kind, Shape
+from testbed.bodies.shapes.shapes import Shape, ShapeKind
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import InfeasibleMotion, UnknownName
+from testbed.core.base.errors import NoFeasibleMotion, UnknownName
 from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import poses
-from testbed.core.robot.rotations import from_vector
-from testbed.motion.clearance import FAR, ClearanceTerm, DistanceMeter
-from testbed.motion.collision_model import CELL, FLOOR, STANDING, collision_model, levers
+from testbed.core.robot.rotations import rotvec_to_matrix
+from testbed.motion.clearance import MAX_DISTANCE, ClearanceTerm, DistanceMeter
+from testbed.motion.collision_model import (
+    FLOOR_BODY,
+    OBSTACLE_BODY,
+    PLATE_BODY,
+    collision_model,
+    distance_rate_bounds,
+)
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import Limits, limits_of, motor_efforts
-from testbed.motion.proof import SPANS, Rules, prove, seems_to_hold, spans_of, suprema
-from testbed.motion.random_motion import MARGIN, best_motion, random_motion, relative_sigma
-from testbed.motion.rest_to_rest import RestToRest, Start, start_of
-from testbed.motion.samples import Samples, stencil
-from testbed.motion.surroundings import watched
-from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SensorTerm, force_bounds
+from testbed.motion.limits import Limits, joint_limits, motor_efforts
+from testbed.motion.proof import (
+    INTERVALS,
+    MotionConstraints,
+    derivative_bounds,
+    force_sample_count,
+    prove,
+    respects_limits_at_samples,
+)
+from testbed.motion.random_motion import (
+    USABLE_SHARE,
+    best_random_motion,
+    random_motion,
+    relative_sigma,
+)
+from testbed.motion.rest_to_rest import RestToRest, Start, shortest_start
+from testbed.motion.samples import KernelForces, derivative_stencil
+from testbed.motion.surroundings import select_watched_pairs
+from testbed.motion.terms import (
+    EffortTerm,
+    PlateRange,
+    PlateTerm,
+    SensorTerm,
+    force_curvature_bounds,
+)
 from tests.helpers.chains import Z, chain
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
@@ -63,8 +87,8 @@ def wide(n: int) -> Limits:
     return Limits(-far, far, far, far, np.full(n, INF))
 
 
-def rules(tree: tb.Tree, limits: Limits, margin: float = 1.0, **more: object) -> Rules:
-    plain = Rules(tree, limits, margin, (), None, np.zeros(0))
+def rules(tree: tb.Tree, limits: Limits, margin: float = 1.0, **more: object) -> MotionConstraints:
+    plain = MotionConstraints(tree, limits, margin, (), None, np.zeros(0))
     return replace(plain, **more)  # type: ignore[arg-type]
 
 
@@ -81,12 +105,12 @@ def test_a_file_without_limits_gets_calm_ones_and_one_end_a_range_as_wide(
         ((-INF, bound), high - 2 * half, high),
         ((-50.0, 40.0), 0 * half - 50.0, 0 * half + 40.0),
     ):
-        found = limits_of(each(tree, position_range=np.array(ends)))
+        found = joint_limits(each(tree, position_range=np.array(ends)))
         np.testing.assert_allclose([found.low, found.high], [low, top])
     np.testing.assert_array_equal(found.velocity, np.where(turns, 2.0, 0.5))
     np.testing.assert_array_equal(found.acceleration, np.where(turns, 6.0, 2.0))
     first, second, *_ = tree.names
-    own = limits_of(each(tree, max_velocity=1.5), {first: 0.2, second: 9.0}, {second: 0.7})
+    own = joint_limits(each(tree, max_velocity=1.5), {first: 0.2, second: 9.0}, {second: 0.7})
     assert own.velocity.tolist() == [0.2, *[1.5] * (tree.n - 1)]  # the lower of two counts
     assert own.acceleration[1] == 0.7
 
@@ -94,20 +118,20 @@ def test_a_file_without_limits_gets_calm_ones_and_one_end_a_range_as_wide(
 @pytest.mark.slow
 def test_limits_that_mean_nothing_name_their_joint(puma: tb.Tree) -> None:
     weak, stuck = each(puma, max_effort=0.1), each(puma, position_range=np.array([0.3, 0.3]))
-    motion, effort = random_motion(puma, None, 0.2, 4, 3), 0.01 * limits_of(puma).effort
-    held = replace(limits_of(puma), effort=effort)  # less than the weight needs
+    motion, effort = random_motion(puma, None, 0.2, 4, 3), 0.01 * joint_limits(puma).effort
+    held = replace(joint_limits(puma), effort=effort)  # less than the weight needs
     smooth = each(puma, coulomb=0.0)
-    lying = rules(smooth, held, terms=(EffortTerm(smooth, held, 1.0),))
-    dragging = each(puma, coulomb=0.9 * limits_of(puma).effort.min())
+    lying = rules(smooth, held, force_limits=(EffortTerm(smooth, held, 1.0),))
+    dragging = each(puma, coulomb=0.9 * joint_limits(puma).effort.min())
     for kind, culprit, asked in (
-        (UnknownName, "wrist", lambda: limits_of(puma, {"wrist": 1.0})),
-        (UnknownName, "wrist", lambda: limits_of(puma, None, {"wrist": 1.0})),
-        (InfeasibleMotion, "'waist'", lambda: limits_of(stuck)),
-        (InfeasibleMotion, "shoulder", lambda: random_motion(weak)),
-        (InfeasibleMotion, "elbow", lambda: EffortTerm(dragging, limits_of(puma), 0.9)),
-        (InfeasibleMotion, "", lambda: PlateRange(RANGE * [1, 1, 0, 1, 1, 1], HALF)),
-        (InfeasibleMotion, "", lambda: PlateRange(RANGE, -HALF)),
-        (InfeasibleMotion, "effort", lambda: start_of(motion, lying)),
+        (UnknownName, "wrist", lambda: joint_limits(puma, {"wrist": 1.0})),
+        (UnknownName, "wrist", lambda: joint_limits(puma, None, {"wrist": 1.0})),
+        (NoFeasibleMotion, "'waist'", lambda: joint_limits(stuck)),
+        (NoFeasibleMotion, "shoulder", lambda: random_motion(weak)),
+        (NoFeasibleMotion, "elbow", lambda: EffortTerm(dragging, joint_limits(puma), 0.9)),
+        (NoFeasibleMotion, "", lambda: PlateRange(RANGE * [1, 1, 0, 1, 1, 1], HALF)),
+        (NoFeasibleMotion, "", lambda: PlateRange(RANGE, -HALF)),
+        (NoFeasibleMotion, "effort", lambda: shortest_start(motion, lying)),
     ):
         with refuses(kind, culprit):
             asked()
@@ -125,19 +149,19 @@ def test_weak_motors_slow_a_motion_no_more_than_they_must(puma: tb.Tree) -> None
         steps = np.log(slow.sine / free.sine) / np.log(0.9)
         np.testing.assert_allclose(steps, round(steps[0, 0]), atol=1e-9)
         times = np.linspace(0, slow.period, 500, endpoint=False)
-        assert np.abs(motor_efforts(weak, slow.at(times))).max() <= MARGIN * 12.0
+        assert np.abs(motor_efforts(weak, slow.at(times))).max() <= USABLE_SHARE * 12.0
         if steps[0, 0] > 0.5:
             slowed += 1
             faster = replace(slow, sine=slow.sine / 0.9, cosine=slow.cosine / 0.9)
-            assert np.abs(motor_efforts(weak, faster.at(times))).max() > MARGIN * 12.0
+            assert np.abs(motor_efforts(weak, faster.at(times))).max() > USABLE_SHARE * 12.0
     assert slowed > 1
 
 
 def test_the_best_of_a_few_is_the_best_of_them_by_the_sigma_of_least_squares() -> None:
     """Rms of sigma over value; small values count as a twentieth of the largest of their unit."""
     tree = random_robot(np.random.default_rng(0), 3).tree()
-    minimal, limits, rng = tb.minimal_set(tree, "reaction"), limits_of(tree), np.random.default_rng
-    motion, score = best_motion(rules(tree, limits), minimal, PLATE, 0.1, 5, 8, rng(7))
+    minimal, limits, rng = tb.minimal_set(tree, "wrench"), joint_limits(tree), np.random.default_rng
+    motion, score = best_random_motion(rules(tree, limits), minimal, PLATE, 0.1, 5, 8, rng(7))
     same = rng(7)
     again = [random_motion(tree, limits, 0.1, 5, same) for _ in range(8)]
     scores = [relative_sigma(tree, m, minimal, PLATE) for m in again]
@@ -172,14 +196,17 @@ def test_bounds_between_samples_are_those_of_motions_and_forces(
         most = np.abs(values).max(axis=0)
         told = np.array([1.0 - left[f"{kind} of '{name}'"] for name in tree.names])
         assert ((most * (1 - 1e-12) <= told) & (told <= most * 1.001)).all()
-    count = spans_of(motion.period)
-    bounds, step = force_bounds(tree, suprema(motion, count)), motion.period / count
+    count = force_sample_count(motion.period)
+    bounds, step = (
+        force_curvature_bounds(tree, derivative_bounds(motion, count)),
+        motion.period / count,
+    )
     at = motion.at(step * np.arange(-1.0, count + 1))
 
     def curved(values: Array) -> Array:
         """Largest second derivative in every span, (k, SPANS)."""
         second = np.abs(np.diff(values, 2, axis=0)) / step**2
-        return np.asarray(second[:count].reshape(SPANS, -1, values.shape[1]).max(axis=1).T)
+        return np.asarray(second[:count].reshape(INTERVALS, -1, values.shape[1]).max(axis=1).T)
 
     wrench = curved(tb.base_wrench(tree, at))
     slack = 1 + 1e-3  # differences look a sample beyond a span
@@ -201,7 +228,7 @@ def test_a_force_sensor_is_a_plate_that_moves(tree: tb.Tree, rng: np.random.Gene
         return np.array([s * wrench[:, k] / RANGE[k] for k in (0, 2, 3, 4) for s in (1, -1)]) - 0.9
 
     at = motion.at(np.linspace(0, motion.period, 40))
-    samples = Samples(at, {}, stencil(tree))
+    samples = KernelForces(at, {}, derivative_stencil(tree))
     np.testing.assert_allclose(term.values(samples), shares(at), atol=1e-12)
     away, slopes = rng.normal(size=(3, tree.n)), term.slopes(samples)
     here = np.stack([at.q, at.qd, at.qdd])
@@ -210,11 +237,11 @@ def test_a_force_sensor_is_a_plate_that_moves(tree: tb.Tree, rng: np.random.Gene
     size = np.abs(along).max(initial=1.0)
     near = (shares(there[0]) - shares(there[1])) / 2e-5
     np.testing.assert_allclose(along, near, atol=1e-7 * size)
-    count = spans_of(motion.period)
+    count = force_sample_count(motion.period)
     step = motion.period / count
-    bounds = term.curvatures(force_bounds(tree, suprema(motion, count)))
+    bounds = term.curvatures(force_curvature_bounds(tree, derivative_bounds(motion, count)))
     second = np.abs(np.diff(shares(motion.at(step * np.arange(-1.0, count + 1))), 2)) / step**2
-    most = second[:, :count].reshape(len(second), SPANS, -1).max(axis=2)
+    most = second[:, :count].reshape(len(second), INTERVALS, -1).max(axis=2)
     assert ((1 + 1e-3) * bounds >= most - 1e-6).all()
 
 
@@ -225,10 +252,10 @@ def test_efforts_and_plate_are_proven_as_tightly_as_they_are(haste: float, puma:
 
     In haste it takes more samples than a proof begins with.
     """
-    limits, pedestal = limits_of(puma), tb.pedestal_wrench(puma)
+    limits, pedestal = joint_limits(puma), tb.pedestal_wrench(puma)
     motion = random_motion(puma, limits, 0.1, 5, int(haste))
     motion = replace(motion, fundamental=haste * motion.fundamental)
-    held = rules(puma, limits, terms=(EffortTerm(puma, limits, 1.0),))
+    held = rules(puma, limits, force_limits=(EffortTerm(puma, limits, 1.0),))
     left = [m.left for m in prove(motion, held).margins if "effort" in m.label]
     fine = motion.at(np.linspace(0, motion.period, 30_001))
     smooth = motor_efforts(each(puma, coulomb=0.0), fine)
@@ -240,9 +267,9 @@ def test_efforts_and_plate_are_proven_as_tightly_as_they_are(haste: float, puma:
     for factor, holds in ((1.01, True), (0.99, False)) if haste == 1 else ():
         pressed = PlateRange(np.full(6, INF), factor * place.max(axis=0))
         for range_ in (PlateRange(factor * most), pressed):
-            held = rules(puma, limits, terms=(PlateTerm(range_, pedestal, 1.0),))
-            assert prove(motion, held).holds is holds
-            assert seems_to_hold(motion, held) is holds
+            held = rules(puma, limits, force_limits=(PlateTerm(range_, pedestal, 1.0),))
+            assert prove(motion, held).is_valid is holds
+            assert respects_limits_at_samples(motion, held) is holds
 
 
 def test_bodies_that_meet_between_samples_are_found() -> None:
@@ -257,7 +284,7 @@ def test_bodies_that_meet_between_samples_are_found() -> None:
         post = ball(-1, 0.05, away * np.array([np.cos(angle), np.sin(angle), 0]))
         collision = collision_model(two, [post, ball(1, 0.05, np.zeros(3))])
         found = prove(motion, rules(two, wide(2), collision=collision, clearance=np.full(1, 0.01)))
-        assert [m.holds for m in found.margins if m.unit == "m"] == [holds]
+        assert [m.is_respected for m in found.margins if m.unit == "m"] == [holds]
         assert found.postures < 5000
 
 
@@ -279,7 +306,7 @@ def test_a_motion_goes_from_rest_to_rest_along_its_path(
     whole = RestToRest(start, 3)
     times, h = np.linspace(-3.0, whole.end + 3.0, 2001), 1e-5
     samples = whole.at(times)
-    np.testing.assert_allclose(samples.q, motion.at(whole.place(times)).q, atol=1e-12)
+    np.testing.assert_allclose(samples.q, motion.at(whole.path_time(times)).q, atol=1e-12)
     inside = (times >= 0) & (times <= whole.end)
     np.testing.assert_array_equal(samples.q[inside], motion.at(times[inside]).q)
     for left, right in (("q", "qd"), ("qd", "qdd")):
@@ -288,7 +315,7 @@ def test_a_motion_goes_from_rest_to_rest_along_its_path(
         np.testing.assert_allclose((after - before) / (2 * h), wanted, atol=1e-3)
     still = (times < -2.0) | (times > whole.end + 2.0)
     assert max(np.abs(samples.qd[still]).max(), np.abs(samples.qdd[still]).max()) < 1e-9
-    start, margins = start_of(random_series(rng, 3, 3, 0.05), rules(tree, wide(3)))
+    start, margins = shortest_start(random_series(rng, 3, 3, 0.05), rules(tree, wide(3)))
     told = {m.label: m for m in margins[:3]}  # of the start; the others are of its mirror image
     size = np.abs(start.derivative(np.linspace(0, start.duration, 4001), 2))
     for j, name in enumerate(tree.names):
@@ -296,13 +323,13 @@ def test_a_motion_goes_from_rest_to_rest_along_its_path(
         assert np.abs(start.derivative(instant, 2))[0, j] > 0.99 * size[:, j].max()
 
 
-SIZES: dict[Kind, int] = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
+SIZES: dict[ShapeKind, int] = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
 
 
 def distances(tree: tb.Tree, *shapes: Shape, **around: object) -> dict[tuple[int, int], float]:
     """In the posture of zeros, by pair."""
     collision = collision_model(tree, shapes, **around)  # type: ignore[arg-type]
-    found = DistanceMeter(collision, far=9.0).measure(np.zeros(tree.n)).values
+    found = DistanceMeter(collision, max_distance=9.0).measure(np.zeros(tree.n)).values
     return dict(zip(collision.pairs, found.tolist(), strict=True))
 
 
@@ -313,10 +340,13 @@ def test_distances_of_balls_are_those_of_their_centres_and_change_as_differences
 ) -> None:
     """No faster than levers; a limit is what a distance lacks."""
     shapes = [ball(j, rng.uniform(0.02, 0.05), 0.1 * rng.normal(size=3)) for j in range(-1, tree.n)]
-    collision, limits = collision_model(tree, shapes), limits_of(tree)
+    collision, limits = collision_model(tree, shapes), joint_limits(tree)
     joined = {(joint.parent, j) for j, joint in enumerate(tree.joints)}
     assert set(collision.pairs) == {(a, b) for b in range(tree.n) for a in range(-1, b)} - joined
-    meter, bound = DistanceMeter(collision, far=50.0), levers(collision, limits)
+    meter, bound = (
+        DistanceMeter(collision, max_distance=50.0),
+        distance_rate_bounds(collision, limits),
+    )
     for q in rng.uniform(limits.low, limits.high, (4, tree.n)):
         at = [Transform(), *poses(tree, q[None])]
         centre = [np.ravel(X.point(s.position)) for s, X in zip(shapes, at, strict=True)]
@@ -333,7 +363,7 @@ def test_distances_of_balls_are_those_of_their_centres_and_change_as_differences
         assert {j for j in range(tree.n) if row[j] > 0} == between  # others move neither or both
     term = ClearanceTerm(collision, np.full(len(collision.pairs), 0.05))
     for q in rng.uniform(limits.low, limits.high, (2, 6, tree.n)):
-        samples = Samples(tb.Motion(np.arange(6.0), q, q, q), {}, None)
+        samples = KernelForces(tb.Motion(np.arange(6.0), q, q, q), {}, None)
         found = DistanceMeter(collision, 0.15).measure(q)
         np.testing.assert_allclose(term.values(samples), (0.05 - found.values.T) / 0.1)
 
@@ -345,10 +375,10 @@ def test_shapes_that_are_passed_over_are_not_the_nearest(
 ) -> None:
     """Several shapes a body, of every kind: the least distance of all pairs, each measured."""
 
-    def some(body: int, kind: Kind, count: int) -> Shape:
+    def some(body: int, kind: ShapeKind, count: int) -> Shape:
         size, turn = (
             rng.uniform(0.01, 0.1, count),
-            from_vector(rng.normal() * np.array([0.6, 0.0, 0.8])),
+            rotvec_to_matrix(rng.normal() * np.array([0.6, 0.0, 0.8])),
         )
         corners = rng.normal(size=(0 if count else 20, 3)) * rng.uniform(0.02, 0.1, 3)
         return Shape(body, kind, size, 0.2 * rng.normal(size=3), turn, GREY, vertices=corners)
@@ -360,7 +390,10 @@ def test_shapes_that_are_passed_over_are_not_the_nearest(
         data.qpos[collision.order] = q
         mujoco.mj_kinematics(model, data)
         wanted = [
-            min(mujoco.mj_geomDistance(model, data, a, b, FAR, None) for a, b in geoms.T.tolist())
+            min(
+                mujoco.mj_geomDistance(model, data, a, b, MAX_DISTANCE, None)
+                for a, b in geoms.T.tolist()
+            )
             for geoms in collision.geoms
         ]
         np.testing.assert_allclose(DistanceMeter(collision).measure(q).values, wanted, atol=1e-6)
@@ -371,13 +404,19 @@ def test_what_stands_around_the_robot_is_watched_from_the_first_link_on(puma: tb
     shapes = [ball(j, 0.05, np.zeros(3)) for j in range(-1, 3)]
     box = Shape(-1, "box", np.array([0.1, 0.2, 0.3]), np.array([1.0, 0, 0]), np.eye(3), GREY)
     found = distances(puma, *shapes, obstacles=[box], floor=-2.0)
-    around = {(CELL, 0), (CELL, 1), (CELL, 2), (FLOOR, 1), (FLOOR, 2)}
-    assert {(STANDING, 1), (STANDING, 2), (0, 2), *around} == set(found)
+    around = {
+        (OBSTACLE_BODY, 0),
+        (OBSTACLE_BODY, 1),
+        (OBSTACLE_BODY, 2),
+        (FLOOR_BODY, 1),
+        (FLOOR_BODY, 2),
+    }
+    assert {(PLATE_BODY, 1), (PLATE_BODY, 2), (0, 2), *around} == set(found)
     height = puma.joints[0].offset[2]
     beside = np.array([0.9, 0.0, max(height - 0.3, 0.0)])
-    assert found[CELL, 0] == pytest.approx(np.linalg.norm(beside) - 0.05)
+    assert found[OBSTACLE_BODY, 0] == pytest.approx(np.linalg.norm(beside) - 0.05)
     lowest = height + (puma.joints[0].rotation @ puma.joints[1].offset)[2]
-    assert found[FLOOR, 1] == pytest.approx(lowest + 2 - 0.05)
+    assert found[FLOOR_BODY, 1] == pytest.approx(lowest + 2 - 0.05)
 
 
 def test_pairs_that_always_touch_are_left_out_and_near_ones_keep_half(puma: tb.Tree) -> None:
@@ -387,7 +426,7 @@ def test_pairs_that_always_touch_are_left_out_and_near_ones_keep_half(puma: tb.T
     touching = ball(0, 0.6, np.zeros(3)), ball(2, 0.9, np.zeros(3))
     for shapes, clearance, kept in ((near, 1.01 * far, [far / 2]), (touching, 0.02, [])):
         collision = collision_model(puma, list(shapes))
-        found = watched(collision, limits_of(puma), clearance)
+        found = select_watched_pairs(collision, joint_limits(puma), clearance)
         np.testing.assert_allclose(found.clearance, kept, rtol=0.2)
         (note,) = tb.sentences(found.diagnostics)
         assert [link for link in ("'link1'", "'link3'") if link not in note] == []

@@ -15,18 +15,18 @@ from pydantic import BaseModel
 import testbed as tb
 from benchmarks.robots import MOST_SIGMAS
 from testbed.core.base.errors import ExperimentError, TestbedError
-from testbed.core.base.toml_text import LARGEST_FILE, override
-from testbed.core.robot.model_file import mimic_joints, nearest_bodies
+from testbed.core.base.toml_text import MAX_FILE_BYTES, apply_settings
+from testbed.core.robot.model_file import mimic_joints, nearest_consistent_bodies
 from testbed.core.robot.refusals import InertiaError
-from testbed.lab.experiment.assumptions import DRY, assumptions
+from testbed.lab.experiment.assumptions import COULOMB_SHARE, assumptions
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment, run_name
-from testbed.lab.experiment.motions import motion_of
-from testbed.lab.experiment.new_experiment import find_robot, new_experiment
+from testbed.lab.experiment.motions import experiment_motion
+from testbed.lab.experiment.new_experiment import new_experiment, read_robot
 from testbed.lab.experiment.results import default_folder
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import JointTable
-from testbed.motion.limits import limits_of
+from testbed.motion.limits import joint_limits
 from tests.helpers.command import command_line
 from tests.helpers.paths import REAL, ROOT
 from tests.helpers.refusals import refuses
@@ -55,7 +55,9 @@ def test_settings_override_keys_and_the_resolved_file_says_the_same(tmp_path: Pa
     assert default_folder(again) == default_folder(experiment)
     assert default_folder(experiment.model_copy(update={"seed": 5})) != default_folder(experiment)
     content: dict[str, Any] = {}
-    override(content, ['robot.lock."arm.elbow"=0.5', "robot.'a.b'.c='x'", "motion.duration=3"])
+    apply_settings(
+        content, ['robot.lock."arm.elbow"=0.5', "robot.'a.b'.c='x'", "motion.duration=3"]
+    )
     quoted = {"lock": {"arm.elbow": 0.5}, "a.b": {"c": "x"}}
     assert content == {"robot": quoted, "motion": {"duration": 3}}
 
@@ -93,7 +95,7 @@ def test_no_number_is_infinite() -> None:
 
 def test_files_that_would_cost_memory_or_the_stack_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "e.toml"
-    whole = TABLE6.read_text() + "#" * (LARGEST_FILE - TABLE6.stat().st_size)
+    whole = TABLE6.read_text() + "#" * (MAX_FILE_BYTES - TABLE6.stat().st_size)
     path.write_text(whole)
     found = tb.Experiment.from_toml(path, [f"model='{MODELS['puma']}'"])
     assert found.name == "table6"
@@ -128,7 +130,7 @@ def arm(folder: Path, length: float = 1.0, mass: float = 1.0, *changes: tuple[st
 
 def written(model: Path, folder: Path, *, tried: bool = False) -> tb.Experiment:
     file = folder / "new.toml"
-    file.write_text(new_experiment(model, folder, tried=tried), encoding="utf-8")
+    file.write_text(new_experiment(model, folder, run_trial=tried), encoding="utf-8")
     return tb.Experiment.from_toml(file)
 
 
@@ -138,9 +140,9 @@ def test_what_it_says_is_the_models(name: str, tmp_path: Path) -> None:
     experiment = written(MODELS[name], tmp_path)
     tree, own = robot_of(experiment), tb.load_tree(MODELS[name])
     text = (tmp_path / "new.toml").read_text()
-    for model in ("dynamic", "reaction"):
+    for model in ("torque", "wrench"):
         assert re.search(rf"\b{tb.minimal_set(own, model).count}\b", text.splitlines()[0])
-    limits = dict(zip(own.names, limits_of(own).velocity, strict=True))
+    limits = dict(zip(own.names, joint_limits(own).velocity, strict=True))
     assert experiment.motion.max_velocity == pytest.approx(limits, rel=1e-5)
     for joint, before in zip(tree.joints, own.joints, strict=True):
         assert joint.coulomb > 0 or joint.viscous > 0  # a robot without friction is no test
@@ -152,7 +154,7 @@ def test_what_it_says_is_the_models(name: str, tmp_path: Path) -> None:
     assert experiment.identification.zeros is False  # symmetry is for a person to say
     gains = np.array(list(experiment.measurement.torque_constant_error.values()))
     np.testing.assert_array_equal(np.sign(gains), [(-1) ** k for k in range(len(gains))])
-    motion_of(experiment, tree)  # proven
+    experiment_motion(experiment, tree)  # proven
 
 
 @pytest.mark.parametrize(("length", "mass"), [(0.05, 20.0), (20.0, 0.05)])
@@ -177,7 +179,7 @@ def test_friction_is_assumed_from_the_load_within_the_whole_range(tmp_path: Path
       <axis xyz="0 1 0"/><limit lower="0" upper="1" effort="1000" velocity="1"/></joint></robot>""")
     load = mass * 9.81 * reach * np.sqrt(0.5 - np.sin(2.0) / 4)
     found = robot_of(written(tmp_path / "pendulum.urdf", tmp_path)).joints[0].coulomb
-    assert found == pytest.approx(DRY * load, rel=0.1)
+    assert found == pytest.approx(COULOMB_SHARE * load, rel=0.1)
 
 
 def test_joints_and_links_of_any_name_roots_that_float_and_impossible_bodies(
@@ -201,7 +203,7 @@ def test_bodies_that_cannot_be_are_written_as_they_will_be_taken(tmp_path: Path)
     """To the last digits."""
     path = REAL / "icub_description/robots/icub_reduced.urdf"
     experiment = written(path, tmp_path)
-    found = nearest_bodies(path, weld_root=experiment.weld_root)
+    found = nearest_consistent_bodies(path, weld_root=experiment.weld_root)
     assert set(experiment.robot.repair) == set(found.bodies)
     assert len(found.bodies) > 3
     tree, own = robot_of(experiment), tb.load_tree(path, weld_root=experiment.weld_root)
@@ -217,7 +219,7 @@ def test_followers_grippers_loops_and_stiff_joints_are_held(tmp_path: Path) -> N
     assert (panda.robot.lock, robot_of(panda).n) == ({"panda_finger_joint1": 0.0}, 7)
     for damping, held in (("1e9", {"turn"}), ("1e2", set())):
         change = ('name="turn"', f'name="turn" damping="{damping}"')
-        assert set(find_robot(arm(tmp_path, 1.0, 1.0, change), None).lock) == held
+        assert set(read_robot(arm(tmp_path, 1.0, 1.0, change), None).lock) == held
     with_tip = ("</body></body></worldbody>", TIP + "</worldbody>")
     weld = '<equality><weld body1="upper" body2="tip"/></equality></mujoco>'
     loop = arm(tmp_path, 1.0, 1.0, with_tip, ("</mujoco>", weld))
@@ -236,7 +238,7 @@ def test_followers_grippers_loops_and_stiff_joints_are_held(tmp_path: Path) -> N
     mocap = arm(tmp_path, 1.0, 1.0, ("</worldbody>", moved), ("</mujoco>", weld))
     assert tb.load_tree(mocap).names == ("turn", "lift")  # what a program moves welds nothing
     endless = arm(tmp_path, 1.0, 1.0, ("-60 60", "-1e16 1e16"))
-    np.testing.assert_allclose(limits_of(tb.load_tree(endless)).high, np.pi)
+    np.testing.assert_allclose(joint_limits(tb.load_tree(endless)).high, np.pi)
 
 
 @pytest.mark.slow
@@ -303,4 +305,4 @@ def test_any_robot_runs_as_new_writes_it(robot: str, tmp_path: Path) -> None:
     words = [f"motion.duration={seconds}", "motion.candidates=1", "excitation.clearance=off"]
     experiment = tb.Experiment.from_toml(tmp_path / "r.toml", words)
     run = evaluate(experiment, tb.record(experiment))
-    assert 0 < run.metrics["external_max_z"] < MOST_SIGMAS
+    assert 0 < run.metrics["wrench_max_z"] < MOST_SIGMAS

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 import testbed as tb
 from docs import interface
-from testbed.core.estimation.information import combinations
+from testbed.core.estimation.information import combination_matrix
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 
@@ -41,7 +41,7 @@ def test_independent_estimates_add_as_their_rows_stacked(count: int, signals: Si
     both, known = plate + torque, [np.isfinite(each.sigma) for each in (plate, torque)]
     told = list(zip((plate, torque), known, strict=True))
     minimal = max(plate.minimal, torque.minimal, key=lambda own: own.count)
-    whole = [combinations(each, minimal, both.names) for each in (plate, torque)]
+    whole = [combination_matrix(each, minimal, both.names) for each in (plate, torque)]
     rows = np.vstack([every[own] for every, own in zip(whole, known, strict=True)])
     values = np.concatenate([each.values[own] for each, own in told])
     covariances = (each.covariance[np.ix_(own, own)] for each, own in told)

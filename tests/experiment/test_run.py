@@ -20,19 +20,19 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.codec import json_text
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.dynamics.newton_euler import base_wrench, joint_forces
-from testbed.core.estimation.estimate import METHODS, SIGNAL_OF
 from testbed.core.estimation.regression.windows import row_weights
+from testbed.core.parameters.rules import SIGNALS
 from testbed.core.recordings.metadata import Metadata
-from testbed.core.robot.inertia import NOTHING
+from testbed.core.robot.inertia import ZERO_INERTIA
 from testbed.lab.experiment import carry_out as module
-from testbed.lab.experiment.carry_out import unseen, validated
-from testbed.lab.experiment.evaluate import evaluate, wrong_prior
-from testbed.lab.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTable
-from testbed.lab.experiment.motions import another_motion, motion_of
+from testbed.lab.experiment.carry_out import simulate_validation_recording, with_validation
+from testbed.lab.experiment.evaluate import evaluate, perturbed_prior
+from testbed.lab.experiment.experiment_tables import BASIC_METRICS, Bound, PriorTable
+from testbed.lab.experiment.motions import experiment_motion, validation_motion
 from testbed.lab.experiment.predict import predict
-from testbed.lab.experiment.results import result_of
-from testbed.lab.experiment.run import Run, assemble_run, correlated, systematic_errors
-from testbed.lab.experiment.score import accuracies, relative_errors, shared_errors
+from testbed.lab.experiment.results import run_result
+from testbed.lab.experiment.run import Run, assemble_run, bias_diagnostics, correlation_diagnostics
+from testbed.lab.experiment.score import prediction_accuracies, relative_errors, torque_set_errors
 from testbed.lab.experiment.summary import headline
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.paths import ROOT
@@ -56,12 +56,12 @@ def test_every_stored_error_and_metric_again_from_the_stored_values(name: str) -
     """And truths that are the robot's, by the sets' matrices alone."""
     run = judged_run(name)
     assert run.score is not None
-    stored, metrics = json.loads(json_text(result_of(run).document())), {}
-    dynamic, reaction = (tb.minimal_set(run.tree, m) for m in ("dynamic", "reaction"))
-    for method, model in (("external", reaction), ("internal", dynamic)):
+    stored, metrics = json.loads(json_text(run_result(run).document())), {}
+    dynamic, reaction = (tb.minimal_set(run.tree, m) for m in ("torque", "wrench"))
+    for method, model in (("wrench", reaction), ("torque", dynamic)):
         truth = model.values(tb.barycentric(run.tree)).tolist()
         scale, count = scales(truth, model.units), model.count
-        for kind in ("coulomb", "viscous") if method == "internal" else ():
+        for kind in ("coulomb", "viscous") if method == "torque" else ():
             for j, joint in enumerate(run.tree.joints):
                 torque, speed = (run.recording.measured(s)[:, j] for s in ("torque", "velocity"))
                 usual = rms(torque) / rms(np.sign(speed) if kind == "coulomb" else speed)
@@ -76,13 +76,13 @@ def test_every_stored_error_and_metric_again_from_the_stored_values(name: str) -
         metrics[f"{method}_max_relative_error"] = np.nanmax(np.abs(share[:count]))
         metrics[f"{method}_max_z"] = np.abs(z[:count]).max()
     metrics["friction_max_relative_error"] = np.nanmax(np.abs(share[count:]))
-    metrics["internal_rms_relative_error"] = rms(share[:count])
+    metrics["torque_rms_relative_error"] = rms(share[:count])
     s = np.linalg.lstsq(reaction.matrix.T, dynamic.matrix.T, rcond=None)[0].T
-    error = s @ np.array(stored["estimates"]["external"]["values"]) - truth[:count]
-    metrics["external_rms_relative_error"] = rms(error / scale[:count])
-    metrics["internal_to_external"] = rms(share[:count]) / rms(error / scale[:count])
+    error = s @ np.array(stored["estimates"]["wrench"]["values"]) - truth[:count]
+    metrics["wrench_rms_relative_error"] = rms(error / scale[:count])
+    metrics["torque_to_wrench"] = rms(share[:count]) / rms(error / scale[:count])
     assert stored["score"]["metrics"] == pytest.approx(metrics, rel=1e-6)
-    assert set(stored["score"]["metrics"]) == set(ALWAYS_JUDGED)
+    assert set(stored["score"]["metrics"]) == set(BASIC_METRICS)
     told = [share for each in run.score.accuracy.values() for share in vars(each).values()]
     assert all(f"{100 * share:.2g} %" in headline(run) for share in told if share is not None)
 
@@ -121,12 +121,12 @@ def test_friction_of_effects_is_true() -> None:
         tree, replace(recording, torque=torque), name="made", settings=settings, experiment=asked
     )
     assert run.score is not None
-    errors = run.score.errors["internal"]
+    errors = run.score.errors["torque"]
     assert run.truths[f"quadratic/{joint}"] == 4.0
     assert run.truths[f"viscous/{joint}"] == tree.joints[j].viscous + 2.0
     assert run.truths[f"stribeck@0.3/{tree.names[1]}"] == 3.0
     assert np.abs(errors.z).max() < 5.0
-    assert not list(systematic_errors(run.estimates["internal"], errors))
+    assert not list(bias_diagnostics(run.estimates["torque"], errors))
 
 
 @pytest.mark.parametrize("name", ["puma", "gantry"])
@@ -160,9 +160,9 @@ def test_accuracy_is_what_another_robot_would_do(name: str) -> None:
     wrench = share([each - each.mean(axis=0) for each in wrenches], np.arange(6) < 3)
     torques = [joint_forces(each.without_friction(), motion) for each in (tree, other)]
     torque = share(torques, np.array([joint.revolute for joint in tree.joints]))
-    found = accuracies(tree, said, False, motion)
-    assert vars(found["external"]) == pytest.approx({"wrench": wrench, "torque": torque})
-    assert vars(found["internal"]) == pytest.approx({"wrench": None, "torque": torque})
+    found = prediction_accuracies(tree, said, False, motion)
+    assert vars(found["wrench"]) == pytest.approx({"wrench": wrench, "torque": torque})
+    assert vars(found["torque"]) == pytest.approx({"wrench": None, "torque": torque})
 
 
 # one signal, another robot, another gravity
@@ -171,21 +171,21 @@ def test_accuracy_is_what_another_robot_would_do(name: str) -> None:
 def test_one_signal_is_enough_for_one_method_and_its_metrics() -> None:
     """The same to the bit as with both; claims about what is not there fail."""
     tree, recording = robot("puma"), noisy(ideal(robot("puma")))
-    bounds = {name: Bound(at_most=1e9) for name in ("external_max_z", "internal_max_z")}
+    bounds = {name: Bound(at_most=1e9) for name in ("wrench_max_z", "torque_max_z")}
     whole = run_of(tree, recording, experiment())
-    for method, other in zip(METHODS, METHODS[::-1], strict=True):
-        run = run_of(tree, without(recording, SIGNAL_OF[other]), experiment(expect=bounds))
+    for method, other in zip(SIGNALS, SIGNALS[::-1], strict=True):
+        run = run_of(tree, without(recording, other), experiment(expect=bounds))
         assert (set(run.estimates), set(run.failures)) == ({method}, {other})
-        assert SIGNAL_OF[other] in run.failures[other]
+        assert other in run.failures[other]
         mine, same = run.estimates[method], whole.estimates[method]
         np.testing.assert_array_equal(mine.values, same.values)
         assert {k: whole.metrics[k] for k in run.metrics} == run.metrics
         assert {name.partition("_")[0] for name in run.metrics} <= {method, "friction"}
-        assert run.verdicts == {f"{m}_max_z": m == method for m in METHODS}
+        assert run.verdicts == {f"{m}_max_z": m == method for m in SIGNALS}
         assert not run.as_expected
-        assert {each.kind for each in predict(run).channels} == {SIGNAL_OF[method]}
+        assert {each.kind for each in predict(run).channels} == {method}
     run = run_of(tree, replace(recording, wrench=None, torque=None), experiment())
-    assert (run.estimates, run.metrics, set(run.failures)) == ({}, {}, set(METHODS))
+    assert (run.estimates, run.metrics, set(run.failures)) == ({}, {}, set(SIGNALS))
 
 
 def test_a_run_is_judged_under_the_gravity_of_its_recording_with_the_warnings_of_both() -> None:
@@ -193,8 +193,8 @@ def test_a_run_is_judged_under_the_gravity_of_its_recording_with_the_warnings_of
     moon, tree = (0.3, 0.0, -1.6), robot("puma")
     there = ideal(tree.with_gravity(moon))
     run = run_of(tree, replace(there, metadata=Metadata(gravity=moon)), experiment())
-    assert run.metrics["external_max_relative_error"] < 1e-9
-    assert run.metrics["internal_max_relative_error"] < 1e-9
+    assert run.metrics["wrench_max_relative_error"] < 1e-9
+    assert run.metrics["torque_max_relative_error"] < 1e-9
     hot = Diagnostic("note", "hot motor")
     there = replace(noisy(ideal(tree)), metadata=Metadata(diagnostics=(hot,)))
     odd = Diagnostic("note", "odd model")
@@ -206,14 +206,14 @@ def test_a_run_is_judged_under_the_gravity_of_its_recording_with_the_warnings_of
 
 
 def test_parameters_that_are_told_apart_poorly_are_named_the_closest_first() -> None:
-    external = judged_run("puma").estimates["external"]
+    external = judged_run("puma").estimates["wrench"]
 
     def lines(*values: float) -> list[str]:
         correlation = np.eye(len(external.names))
         for k, value in enumerate(values, 1):
             correlation[0, k] = correlation[k, 0] = value
         spread = correlation * np.outer(external.sigma, external.sigma)
-        return [*map(str, correlated(replace(external, covariance=spread)))]
+        return [*map(str, correlation_diagnostics(replace(external, covariance=spread)))]
 
     assert lines(0.89) == []
     (line,) = lines(0.91, -0.97, 0.5)
@@ -224,14 +224,14 @@ def test_parameters_that_are_told_apart_poorly_are_named_the_closest_first() -> 
 def test_errors_that_sigma_does_not_tell_are_named() -> None:
     run = judged_run("puma")
     assert run.score is not None
-    for method in METHODS:
+    for method in SIGNALS:
         estimate, errors = run.estimates[method], run.score.errors[method]
-        assert list(systematic_errors(estimate, errors)) == []
+        assert list(bias_diagnostics(estimate, errors)) == []
         z = np.zeros(len(errors.z))
         z[[1, 3]] = 6.0, -40.0
         off = replace(estimate, values=errors.truth + z * estimate.sigma)
         wrong = replace(errors, z=z, relative=np.where(z == 0, 0.0, 0.1))
-        (found,) = systematic_errors(off, wrong)
+        (found,) = bias_diagnostics(off, wrong)
         assert found.method == method
         assert found.value == pytest.approx(40)
         assert estimate.names[3] in found.subject
@@ -251,7 +251,7 @@ def test_one_low_pass_for_everything_and_short_recordings_all_the_same() -> None
     reach = len(weights) // 2
     np.testing.assert_array_equal(smooth.motion.t, found.motion.t[reach:-reach])
     for before, after in zip(found.channels, smooth.channels, strict=True):
-        for method in METHODS:
+        for method in SIGNALS:
             wanted = np.convolve(before.residuals[method], weights, "valid")
             np.testing.assert_allclose(after.residuals[method], wanted, rtol=1e-9, atol=1e-9)
     states = ideal(tree)
@@ -272,13 +272,13 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
     """Or estimates would be held against gravity alone, and friction against a crawl."""
     run = run_of(robot("puma"))
     other = noisy(ideal(run.tree, seed=8), 4)
-    done = validated(run, plus(other, wrench=[0, 0, 0, 0, 0, 50.0]))
+    done = with_validation(run, plus(other, wrench=[0, 0, 0, 0, 0, 50.0]))
     (new,) = {*done.diagnostics} - {*run.diagnostics}
-    wanted = "estimate.prediction-offset", "external", "channel Mz"
+    wanted = "estimate.prediction-offset", "wrench", "channel Mz"
     assert (new.code, new.method, new.subject) == wanted
-    assert validated(run, ideal(robot("gantry"))).validation == {}
+    assert with_validation(run, ideal(robot("gantry"))).validation == {}
     asked = tb.Experiment.of_model(MODELS["gantry"], ["motion.candidates=5", "seed=3"])
-    motions = [make(asked, robot("gantry")) for make in (motion_of, another_motion)]
+    motions = [make(asked, robot("gantry")) for make in (experiment_motion, validation_motion)]
     times = np.linspace(0, motions[0].period, 500, endpoint=False)
     for order in (1, 2):
         fast = [np.sqrt(np.mean(m.derivative(times, order) ** 2, axis=0)) for m in motions]
@@ -296,7 +296,8 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
     monkeypatch.setattr(module, "record", kept)
     for fundamental, duration, taken in ((0.1, 60.0, 12.0), (0.05, 60.0, 20.0), (0.1, 5.0, 5.0)):
         words = [f"motion.duration={duration}", f"motion.fundamental={fundamental}", "seed=7"]
-        unseen(replace(run, experiment=tb.Experiment.of_model(MODELS["puma"], words)))
+        changed = tb.Experiment.of_model(MODELS["puma"], words)
+        simulate_validation_recording(replace(run, experiment=changed))
         assert (seen[-1].motion.duration, seen[-1].seed) == (taken, 8)
 
 
@@ -304,7 +305,7 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
 def test_consistent_bodies_are_judged_by_the_truth_and_a_wrong_model_file_is_of_the_seed() -> None:
     run: Run = result("bodies")
     metrics = run.metrics
-    ratio = metrics["consistent_rms_relative_error"] / metrics["external_rms_relative_error"]
+    ratio = metrics["consistent_rms_relative_error"] / metrics["wrench_rms_relative_error"]
     assert metrics["consistent_to_plain"] == pytest.approx(ratio)
     assert metrics["prior_rms_relative_error"] > metrics["consistent_rms_relative_error"]
     asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
@@ -317,14 +318,14 @@ def test_consistent_bodies_are_judged_by_the_truth_and_a_wrong_model_file_is_of_
     assert (failed.consistent, failed.as_expected) == (None, False)
     tree = robot("ur5")
     one, same, other = (
-        wrong_prior(tree, asked.model_copy(update={"seed": k})).inertias for k in (3, 3, 4)
+        perturbed_prior(tree, asked.model_copy(update={"seed": k})).inertias for k in (3, 3, 4)
     )
     for a, b, c in zip(one, same, other, strict=True):
         np.testing.assert_array_equal(a.tensor, b.tensor)
         assert a.mass != c.mass
         assert np.linalg.eigvalsh(a.pseudo)[0] > 0
-    bare = replace(tree, inertias=(NOTHING,) * tree.n)  # links that only carry frames
-    assert wrong_prior(bare, asked).inertias == bare.inertias
+    bare = replace(tree, inertias=(ZERO_INERTIA,) * tree.n)  # links that only carry frames
+    assert perturbed_prior(bare, asked).inertias == bare.inertias
 
 
 @pytest.mark.slow
@@ -338,10 +339,10 @@ def test_the_floor_of_a_coarse_step_is_the_error_of_perfect_instruments() -> Non
     coarse = "simulation.step=1e-3"
     fine, noisy = load("table6"), load("table6", coarse)
     perfect = load("encoder_floor", coarse)
-    assert "external_floor" not in evaluate(fine, tb.record(fine), methods=["external"]).metrics
+    assert "wrench_floor" not in evaluate(fine, tb.record(fine), methods=["wrench"]).metrics
     tree = tb.load_tree(MODELS["puma"])
     estimate = tb.identify(tree, tb.record(perfect), settings=perfect.identification)
-    wanted = np.sqrt(np.mean(shared_errors(tree, estimate.base.values, zeros=True) ** 2))
-    found = evaluate(noisy, tb.record(noisy), methods=["external"]).metrics
-    assert found["external_floor"] == pytest.approx(wanted, rel=1e-6)
-    assert found["external_floor"] < found["external_rms_relative_error"]
+    wanted = np.sqrt(np.mean(torque_set_errors(tree, estimate.base.values, zeros=True) ** 2))
+    found = evaluate(noisy, tb.record(noisy), methods=["wrench"]).metrics
+    assert found["wrench_floor"] == pytest.approx(wanted, rel=1e-6)
+    assert found["wrench_floor"] < found["wrench_rms_relative_error"]

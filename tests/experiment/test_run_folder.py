@@ -20,15 +20,16 @@ from testbed.applications.validate import validate
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.shapes.appearance import load_shapes
 from testbed.core.base.codec import json_text
-from testbed.core.base.errors import ExperimentError, InfeasibleMotion, TestbedError
-from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.base.errors import ExperimentError, NoFeasibleMotion, TestbedError
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.parameters.rules import SIGNALS
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.excite import excite, frequencies_of
-from testbed.lab.experiment.motions import motion_of, rules_of
+from testbed.lab.experiment.motions import experiment_motion, rules_of
 from testbed.lab.experiment.read_result import (
-    LARGEST_RESULT,
-    KeptResult,
+    MAX_RESULT_BYTES,
+    StoredResult,
     prior_covariance,
     read_result,
 )
@@ -36,12 +37,12 @@ from testbed.lab.experiment.results import (
     check_folder,
     read_estimates,
     read_run,
-    result_of,
+    run_result,
     write_estimates,
-    write_recorded,
+    write_recording_folder,
     write_run,
 )
-from testbed.lab.experiment.results import identified as identified_result
+from testbed.lab.experiment.results import identification_result as identified_result
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import RecordingTables
 from testbed.lab.experiment.run import Run
@@ -113,7 +114,7 @@ def said(run: Run) -> str:
     """All that a program reads of a run, and what is not in its file: other products."""
     sums = {m: [each.normal_equations.residual(each.values).tolist(), each.matters, each.names]
             for m, each in run.estimates.items()}  # fmt: skip
-    return json.dumps([json_text(result_of(run).document()).decode(), sums, run.settings.terms])
+    return json.dumps([json_text(run_result(run).document()).decode(), sums, run.settings.terms])
 
 
 @pytest.mark.slow
@@ -127,7 +128,7 @@ def test_all_that_came_of_a_run_comes_back(name: str, tmp_path: Path) -> None:
     )  # fmt: skip
     paths = tmp_path / "one", tmp_path / "other"
     for path in paths:
-        write_estimates(result_of(run, {"of": name}), path)
+        write_estimates(run_result(run, {"of": name}), path)
     assert len({path.read_bytes() for path in paths}) == 1
     back = read_estimates(bare, paths[0], {"of": name})
     assert back is not None
@@ -159,7 +160,7 @@ def test_a_run_folder_is_identified_again_where_it_was_changed(tmp_path: Path) -
         np.testing.assert_array_equal(again.estimates[method].values, estimate.values)
     wider = f"deadband = {10 * run.settings.deadband}"
     asked.write_text(re.sub(r"deadband = \S+", wider, text))
-    assert read_run(place).estimates["internal"].samples < run.estimates["internal"].samples
+    assert read_run(place).estimates["torque"].samples < run.estimates["torque"].samples
 
 
 @pytest.mark.slow
@@ -167,14 +168,14 @@ def test_a_run_folder_takes_nothing_else_along(tmp_path: Path) -> None:
     """Without a result, as where the identification was interrupted, it is read all the same."""
     asked, place = experiment(tmp_path / "here", URDF), tmp_path / "run"
     recording = tb.record(asked)
-    write_recorded(asked, recording, place)
-    assert set(read_run(place).estimates) == set(METHODS)
+    write_recording_folder(asked, recording, place)
+    assert set(read_run(place).estimates) == set(SIGNALS)
     (place / "notes.txt").write_text("mine")
     with refuses(ExperimentError, "notes.txt"):
         check_folder(place, asked, force=True)
     model = Path(asked.model)
     model.write_text(model.read_text().replace("cube.obj", "key.txt"))
-    write_recorded(asked, recording, tmp_path / "other")
+    write_recording_folder(asked, recording, tmp_path / "other")
     assert not list((tmp_path / "other").rglob("key.txt"))
     copied = Path(tb.Experiment.from_toml(place / "experiment.toml").model)
     for change in (lambda: copied.write_text(f"{URDF}<!-- changed -->"), copied.unlink):
@@ -193,32 +194,32 @@ HELD = ModelFile(MODELS["puma"], lock={"waist": 0.4, "elbow": None})
 @cache
 def identified() -> tuple[dict[str, Any], tuple[Estimate, ...]]:
     """What `identify --json` prints of a held PUMA, and the estimates themselves."""
-    tree, tables = HELD.tree(), RecordingTables.of(SAID)
+    tree, tables = HELD.tree(), RecordingTables.from_overrides(SAID)
     recording = measured(tree, 1, duration=12)
-    found = [tb.identify(tree, recording, m, settings=tables.identification) for m in METHODS]
+    found = [tb.identify(tree, recording, m, settings=tables.identification) for m in SIGNALS]
     return json.loads(json_text(identified_result(found, HELD, tables).document())), tuple(found)
 
 
 PARTS = ("names", "values", "covariance", "residual", "gravity")
 NEEDED = [("model", "sha256"), ("settings",)]
-NEEDED += [("estimates", m, k) for m in METHODS for k in PARTS]
+NEEDED += [("estimates", m, k) for m in SIGNALS for k in PARTS]
 WRONG: list[Any] = [None, "x" * 10_000, "a\0b", -3, 10**400, float("nan"), [[1]], {"no": [1]}]
 ODD: list[tuple[tuple[str, ...], Any]] = [
     *product(NEEDED, [KeyError, *WRONG]),
     *product([("model", "path")], ["/", "a\0b"]),
     (("model", "lock"), {"nobody": 0.0}),
-    (("estimates", "external", "values"), [1.0]),
-    (("estimates", "external", "residual"), [-1.0] * 6),
-    (("estimates", "external", "residual"), [1.0] * 7),
-    (("estimates", "internal", "residual"), [1.0] * 2),
+    (("estimates", "wrench", "values"), [1.0]),
+    (("estimates", "wrench", "residual"), [-1.0] * 6),
+    (("estimates", "wrench", "residual"), [1.0] * 7),
+    (("estimates", "torque", "residual"), [1.0] * 2),
 ]
 
 
 def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
     """Or nonsense is validated, or a stranger's file ends the program with a stack."""
     content, path, texts = identified()[0], tmp_path / "result.json", list[bytes]()
-    ragged = [[1.0], *content["estimates"]["external"]["covariance"][1:]]
-    for where, wrong in [*ODD, (("estimates", "external", "covariance"), ragged)]:
+    ragged = [[1.0], *content["estimates"]["wrench"]["covariance"][1:]]
+    for where, wrong in [*ODD, (("estimates", "wrench", "covariance"), ragged)]:
         here = spoiled = deepcopy(content)
         for key in where[:-1]:
             here = here[key]
@@ -226,7 +227,7 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
         if wrong is KeyError:
             del here[where[-1]]
         texts.append(json.dumps(spoiled).encode())
-    many, large = b'{"external": {"names": ' + b"9" * 10_000 + b"}}", b" " * (LARGEST_RESULT + 1)
+    many, large = b'{"wrench": {"names": ' + b"9" * 10_000 + b"}}", b" " * (MAX_RESULT_BYTES + 1)
     texts += [b"", b"\xff\xfe\x00", b"PAR1", b"[" * 100_000, b"[]", b"{}", many, large]
     for text in texts:
         path.write_bytes(text)
@@ -244,7 +245,7 @@ def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
     (content, estimates), tree, path = identified(), HELD.tree(), tmp_path / "result.json"
     path.write_text(json.dumps(content))
     kept, other = read_result(path), measured(tree, 2, duration=9)
-    assert kept.settings == RecordingTables.of(SAID).identification
+    assert kept.settings == RecordingTables.from_overrides(SAID).identification
     for estimate, said in zip(estimates, kept.estimates, strict=True):
         one, two = (
             validate(own, other, each, settings=kept.settings)
@@ -262,8 +263,8 @@ def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
     puma = ModelFile(MODELS["puma"])
     coupled = measured(puma.tree(), 1, duration=6)
     coupled = replace(coupled, metadata=Metadata(mapping=gear | {"joints": list(coupled.names)}))
-    geared = tb.identify(puma.tree(), coupled, "internal")
-    document = identified_result([geared], puma, RecordingTables.of([])).document()
+    geared = tb.identify(puma.tree(), coupled, "torque")
+    document = identified_result([geared], puma, RecordingTables.from_overrides([])).document()
     path.write_bytes(json_text(document))
     assert [shaft.name for shaft in read_result(path).tree.shafts] == ["shoulder.motor"]
 
@@ -292,19 +293,19 @@ def test_a_designed_motion_comes_back_from_its_file_and_is_proven_again(tmp_path
     word, wrist = f'motion.file="{file}"', "sensors.wrist.link=link3"
     tips = "excitation.pressure_area=[0.01,0.01]"
     for name, kind, words, culprit in (
-        ("puma", InfeasibleMotion, ["motion.max_velocity={waist=0.2}"], "velocity of 'waist'"),
-        ("puma", InfeasibleMotion, ["measurement.full_scale=[5,5,5,5,5,5]"], "plate"),
-        ("puma", InfeasibleMotion, [wrist, "sensors.wrist.full_scale=[5,5,5,5,5,5]"], "wrist"),
-        ("puma", InfeasibleMotion, [wrist, "robot.sensor=wrist", tips], "pressure"),
+        ("puma", NoFeasibleMotion, ["motion.max_velocity={waist=0.2}"], "velocity of 'waist'"),
+        ("puma", NoFeasibleMotion, ["measurement.full_scale=[5,5,5,5,5,5]"], "plate"),
+        ("puma", NoFeasibleMotion, [wrist, "sensors.wrist.full_scale=[5,5,5,5,5,5]"], "wrist"),
+        ("puma", NoFeasibleMotion, [wrist, "robot.sensor=wrist", tips], "pressure"),
         ("puma", ExperimentError, ["measurement.rate=5", "simulation.bandwidth=2"], "rate"),
         ("ur5", ExperimentError, [], "waist"),
     ):
         other = asked(name, word, *words)
         with pytest.raises(kind, match=culprit):
-            motion_of(other, robot_of(other))
+            experiment_motion(other, robot_of(other))
     run = asked("puma", word, "motion.duration=2", "simulation.step=1e-3")
     recording = tb.record(run)
-    wanted = motion_of(run, found.tree).at(recording.time + 0.5e-3)
+    wanted = experiment_motion(run, found.tree).at(recording.time + 0.5e-3)
     assert np.abs(recording.position - wanted.q).max() < 5e-3
     for change, culprit in (
         (("fundamental = ", "fundamental = -"), "fundamental"),
@@ -350,7 +351,7 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     words.append("excitation.lowest_frequency=0.2")  # as two periods in ten seconds ask for
     promised = excite(asked("puma", *words)).predicted.sigma  # of the same motion, for longer
     words += [f'motion.file="{tmp_path / "motion.toml"}"', "simulation.friction=false"]
-    estimate = tb.identify(found.tree, tb.record(asked("puma", *words)), "external")
+    estimate = tb.identify(found.tree, tb.record(asked("puma", *words)), "wrench")
     ratio = estimate.sigma / promised
     assert ratio.min() > 0.85
     assert np.quantile(ratio, 0.75) == pytest.approx(1, abs=0.1)
@@ -359,9 +360,9 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     stated = estimate.with_(names=tuple(names), covariance=covariance)
     tree = found.tree
     options = ConsistencyOptions()
-    kept = KeptResult(tree, tb.Settings(), tree, options, (stated,))
+    kept = StoredResult(tree, tb.Settings(), tree, options, (stated,))
     np.testing.assert_array_equal(prior_covariance(kept, asked()), estimate.covariance)
-    with refuses(TestbedError, "internal"):
+    with refuses(TestbedError, "torque"):
         prior_covariance(kept, asked("puma", "excitation.instrument=joints"))
 
 
@@ -373,16 +374,18 @@ def test_random_motions_are_proven_keep_clear_and_frequencies_are_within_the_ban
     box = "excitation.obstacle=[{centre=[0.5, 0.0, 1.0], size=[0.3, 0.3, 0.3]}]"
     boxed = asked("puma", "motion.candidates=5", box)
     rules = rules_of(boxed, tree, designed=False)
-    assert prove(motion_of(boxed, tree), rules).holds
-    assert not prove(motion_of(free, tree), rules).holds
+    assert prove(experiment_motion(boxed, tree), rules).is_valid
+    assert not prove(experiment_motion(free, tree), rules).is_valid
     everywhere = "excitation.obstacle=[{centre=[0.0, 0.0, 1.0], size=[4.0, 4.0, 4.0]}]"
-    with refuses(InfeasibleMotion, "excitation.clearance"):
-        motion_of(asked("puma", "motion.candidates=2", everywhere), tree)
+    with refuses(NoFeasibleMotion, "excitation.clearance"):
+        experiment_motion(asked("puma", "motion.candidates=2", everywhere), tree)
     bare = asked("gantry", box)
     with pytest.raises(ExperimentError):  # no shapes that could keep clear
-        motion_of(bare, robot_of(bare))
+        experiment_motion(bare, robot_of(bare))
     area = asked("puma", "excitation.pressure_area=[0.3, 0.2]", "excitation.clearance=off")
-    (plate,) = (t for t in rules_of(area, tree, designed=False).terms if isinstance(t, PlateTerm))
+    (plate,) = (
+        t for t in rules_of(area, tree, designed=False).force_limits if isinstance(t, PlateTerm)
+    )
     assert {label[:-1] for label in plate.labels} == {"centre of pressure along "}
     for low, high, most in ((0.1, 1.6, 8), (0.05, 0.5, 3)):
         band = f"excitation.lowest_frequency={low}", f"excitation.highest_frequency={high}"
@@ -406,7 +409,7 @@ def test_a_run_from_rest_to_rest_is_recorded_whole_and_counts_in_its_middle() ->
     assert recording.metadata.counted == (0.0, 4.0)
     speed = np.abs(np.gradient(recording.position, step, axis=0)).max(axis=1)
     assert max(speed[:20].max(), speed[-20:].max()) < 5e-3 * speed.max()
-    wanted = motion_of(resting, robot_of(resting)).at(recording.time + step / 2).q
+    wanted = experiment_motion(resting, robot_of(resting)).at(recording.time + step / 2).q
     inner = (recording.time >= 1.0) & (recording.time < 4.0)
     assert np.abs(recording.position - wanted)[inner].max() < 5e-3
     part = recording.part(*np.searchsorted(recording.time, [-step / 2, 4 - step / 2]))

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.campaigns.campaign import CampaignTables
-from testbed.core.base.toml_text import checked
+from testbed.core.base.toml_text import validate_tables
 from testbed.importing.mapping import Mapping
 from testbed.lab.experiment.experiment import Experiment
 from tests.helpers.command import command_line
@@ -142,8 +142,8 @@ def _is_part_of(block: Block, file: Path) -> None:
 def _is_understood(content: dict[str, Any]) -> None:
     """Tables of a file, whichever its kind; an experiment's may be a part of one."""
     if "factor" in content:
-        checked(CampaignTables, content, "campaign")
+        validate_tables(CampaignTables, content, "campaign")
     elif "sources" in content:
-        checked(Mapping, content, "mapping")
+        validate_tables(Mapping, content, "mapping")
     else:
-        checked(Experiment, {"name": "part", "model": "robot.urdf"} | content, "experiment")
+        validate_tables(Experiment, {"name": "part", "model": "robot.urdf"} | content, "experiment")

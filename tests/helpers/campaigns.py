@@ -40,7 +40,7 @@ def campaign_file(
     path = folder / "quick.toml"
     path.write_text(
         f'name = "quick"\nexperiment = "{ROOT / "experiments/table6.toml"}"\n'
-        f'set = [{listed}]\nmethods = ["external"]\nreplicates = {replicates}\n{more}\n{factors}\n'
+        f'set = [{listed}]\nmethods = ["wrench"]\nreplicates = {replicates}\n{more}\n{factors}\n'
     )
     return path
 
@@ -57,17 +57,15 @@ TRUTH, SIGMA = np.array([1.0, -2.0]), np.array([0.1, 0.3])
 
 def made_up(campaign: Campaign, place: CampaignRun) -> dict[str, Any]:
     """Row that only the hash of a run decides; no simulation."""
-    values = TRUTH + SIGMA * np.random.default_rng(int(place.run, 16)).normal(size=2)
+    values = TRUTH + SIGMA * np.random.default_rng(int(place.digest, 16)).normal(size=2)
     columns = zip("ab", TRUTH, values, SIGMA, (values - TRUTH) / TRUTH, strict=True)
     names = ("parameter", "truth", "value", "sigma", "relative_error")
     return {
-        "run": place.run,
+        "run": place.digest,
         "status": "done",
         "error": "",
         "command": campaign.command(place.cell, place.replicate),
         "seed": campaign.tables.seed + place.replicate,
-        "metric/external_rms_relative_error": float(np.abs(values - TRUTH).max()),
-        "estimates": [
-            {"method": "external"} | dict(zip(names, row, strict=True)) for row in columns
-        ],
+        "metric/wrench_rms_relative_error": float(np.abs(values - TRUTH).max()),
+        "estimates": [{"method": "wrench"} | dict(zip(names, row, strict=True)) for row in columns],
     }

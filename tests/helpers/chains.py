@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import testbed as tb
-from testbed.core.robot.tree import Joint, Kind, Tree
+from testbed.core.robot.tree import Joint, JointKind, Tree
 
 X, Y, Z = np.eye(3)
 
 
-def chain(*joints: tuple[Kind, ArrayLike]) -> Tree:
+def chain(*joints: tuple[JointKind, ArrayLike]) -> Tree:
     """Joints of given kinds and axes, each a step aside of the one before, on general bodies."""
     rng = np.random.default_rng(len(joints))
     made, bodies = [], []

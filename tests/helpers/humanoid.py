@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.robot.free_base import FREE
+from testbed.core.robot.free_base import N_BASE_COORDINATES
 from tests.helpers.paths import REAL
 
 G1 = REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf"
@@ -29,7 +29,7 @@ def by_pinocchio(
     def configurations(shift: float) -> Array:
         q = path.at(time + shift).q
         found = np.zeros((len(q), model.nq))
-        found[:, :3], found[:, place] = q[:, :3], q[:, FREE:]
+        found[:, :3], found[:, place] = q[:, :3], q[:, N_BASE_COORDINATES:]
         found[:, 3:7] = Rotation.from_euler("ZYX", q[:, 3:6]).as_quat()
         return found
 
@@ -48,7 +48,7 @@ def by_pinocchio(
 
 def squatting(tree: tb.Tree, seed: int) -> tb.Fourier:
     """Knees bend and stretch, the base goes down and up and sways, arms and waist move."""
-    rng, n = np.random.default_rng(seed), tree.n + FREE
+    rng, n = np.random.default_rng(seed), tree.n + N_BASE_COORDINATES
     size = np.concatenate([[0.03] * 3, [0.1] * 3, [0.3] * tree.n])[:, None] / np.sqrt(20)
     sine, cosine = size * rng.normal(size=(2, n, 20))
     offset = np.zeros(n)
@@ -57,7 +57,7 @@ def squatting(tree: tb.Tree, seed: int) -> tb.Fourier:
     bends = (("hip_pitch", -1.0), ("knee", 2.0), ("ankle_pitch", -1.0))
     for side in ("left", "right"):
         for part, share in bends:
-            k = FREE + tree.index(f"{side}_{part}_joint")
+            k = N_BASE_COORDINATES + tree.index(f"{side}_{part}_joint")
             offset[k], cosine[k, 3] = 0.45 * share, cosine[k, 3] - 0.45 * share
     return within(tree, tb.Fourier(0.05, offset, sine, cosine))
 
@@ -65,14 +65,14 @@ def squatting(tree: tb.Tree, seed: int) -> tb.Fourier:
 def within(tree: tb.Tree, motion: tb.Fourier) -> tb.Fourier:
     """The same with each joint inside its range: smaller where it must be, and moved."""
     low, high = np.array([joint.position_range for joint in tree.joints]).T
-    q = motion.at(np.linspace(0, motion.period, 1000)).q[:, FREE:]
+    q = motion.at(np.linspace(0, motion.period, 1000)).q[:, N_BASE_COORDINATES:]
     share = np.minimum(1.0, 0.9 * (high - low) / np.ptp(q, axis=0))
-    middle = motion.offset[FREE:]
+    middle = motion.offset[N_BASE_COORDINATES:]
     least, most = (middle + share * (each - middle) for each in (q.min(axis=0), q.max(axis=0)))
     room = 0.05 * (high - low)
     moved = np.maximum(low + room - least, 0.0) - np.maximum(most - high + room, 0.0)
-    every = np.concatenate([np.ones(FREE), share])[:, None]
-    offset = motion.offset + np.concatenate([np.zeros(FREE), moved])
+    every = np.concatenate([np.ones(N_BASE_COORDINATES), share])[:, None]
+    offset = motion.offset + np.concatenate([np.zeros(N_BASE_COORDINATES), moved])
     return tb.Fourier(motion.fundamental, offset, every * motion.sine, every * motion.cosine)
 
 
@@ -91,7 +91,7 @@ def humanoid(
     return tree, tb.Recording(
         tree.names,
         time,
-        motion.q[:, FREE:] + noise * 1e-5 * rng.normal(size=(len(time), tree.n)),
+        motion.q[:, N_BASE_COORDINATES:] + noise * 1e-5 * rng.normal(size=(len(time), tree.n)),
         wrench=wrench + noise * rough,
         tare=None if joint else np.zeros(6),
         base=base + noise * 1e-5 * rng.normal(size=base.shape),

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.estimate import Method
-from testbed.core.parameters.rules import Model
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.core.robot.joint_law import JointLaw
 
@@ -58,10 +57,10 @@ def ideal(
     )
 
 
-def true_values(tree: tb.Tree, method: Method, zeros: bool = False) -> Array:
-    model: Model = "reaction" if method == "external" else "dynamic"
+def true_values(tree: tb.Tree, method: Signal, zeros: bool = False) -> Array:
+    model: Signal = "wrench" if method == "wrench" else "torque"
     delta = tb.minimal_set(tree, model, zeros=zeros).values(tb.barycentric(tree))
-    if method == "external":
+    if method == "wrench":
         return delta
     return np.concatenate(
         [delta, [j.coulomb for j in tree.joints], [j.viscous for j in tree.joints]]

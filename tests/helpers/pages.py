@@ -16,16 +16,16 @@ import numpy as np
 import testbed as tb
 from testbed.campaigns.campaign import Campaign
 from testbed.campaigns.campaign_section import write_campaign_page
-from testbed.campaigns.conduct import places_of
-from testbed.campaigns.results import Results, read_results, write_rows
+from testbed.campaigns.conduct import campaign_runs
+from testbed.campaigns.results import Results, read_campaign_results, write_rows
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
-from testbed.importing.check.draft_mapping import KNOWN
+from testbed.importing.check.draft_mapping import NOTE_PREFIXES
 from testbed.importing.check.mapping_solution import MappingSolution
 from testbed.importing.check.plate import WrenchFit
 from testbed.importing.import_report import MappingDraft
 from testbed.lab.experiment.excite import design_problem
-from testbed.lab.experiment.motions import CheckedMotion, checked_motion
+from testbed.lab.experiment.motions import CheckedMotion, prove_motion_file
 from testbed.motion.design import Design
 from testbed.motion.excite import Excitation
 from testbed.motion.information import Prediction
@@ -54,8 +54,8 @@ def plated() -> tb.Run:
         NuisanceEstimate("matrix", "gain/Fy", "", 1.01, 1e-3),
         NuisanceEstimate("matrix", "crosstalk/Mx/Fz", "m", 0.02, 1e-4),
     )
-    found = replace(run.estimates["external"], nuisances=numbers)
-    return replace(run, estimates={**run.estimates, "external": found})
+    found = replace(run.estimates["wrench"], nuisances=numbers)
+    return replace(run, estimates={**run.estimates, "wrench": found})
 
 
 def hostile() -> tb.Run:
@@ -102,13 +102,13 @@ def run_named(name: str) -> tb.Run:
 @cache
 def checked() -> CheckedMotion:
     """The motion of table6."""
-    return checked_motion(ROOT / "experiments/motions/table6.toml")
+    return prove_motion_file(ROOT / "experiments/motions/table6.toml")
 
 
 def excitation() -> Excitation:
     """That motion, as if it had been designed and promised something."""
     found, rng = checked(), np.random.default_rng(0)
-    names = tb.minimal_set(found.rules.tree, "reaction").names
+    names = tb.minimal_set(found.rules.tree, "wrench").names
     size = 10 ** rng.uniform(-5, 1, (2, len(names)))
     promise = Prediction(names, size[0], 0.1 * size[1], 30.0)
     design = Design(found.motion, -9.0, found.proof, 1, True)
@@ -123,13 +123,13 @@ def campaign() -> Results:
     place = Path(mkdtemp())
     asked = Campaign.load(campaign_file(place, 12, GRID))
     rows = []
-    for run in places_of(asked):
+    for run in campaign_runs(asked):
         levels = asked.cells[run.cell].levels
         factors = dict(zip((f"factor/{name}" for name in asked.factors), levels, strict=True))
         rows.append(made_up(asked, run) | factors | {"cell": run.cell, "replicate": run.replicate})
     rows[0] |= {"status": "failed", "error": HOSTILE}
     write_rows(place / "results.parquet", asked, rows)
-    return read_results(place / "results.parquet")
+    return read_campaign_results(place / "results.parquet")
 
 
 def mapping() -> MappingSolution:
@@ -137,7 +137,7 @@ def mapping() -> MappingSolution:
     time = np.linspace(0.0, 5.0, 200)
     wrench = np.sin(np.outer(time, np.arange(1, 7)))
     read = WrenchFit(time, wrench, 0.9 * wrench, np.full(6, 0.01))
-    notes = {("wrench", "rate"): KNOWN[0], ("wrench", "file"): KNOWN[0] + HOSTILE}
+    notes = {("wrench", "rate"): NOTE_PREFIXES[0], ("wrench", "file"): NOTE_PREFIXES[0] + HOSTILE}
     draft = MappingDraft({"wrench": {"rate": 100.0, "file": HOSTILE}}, notes)
     return MappingSolution(draft, (Diagnostic("note", HOSTILE),), read, replace(read, fit=wrench))
 

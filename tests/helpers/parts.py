@@ -8,7 +8,7 @@ from pathlib import Path
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.formats.parquet import write_table
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import alike
+from testbed.core.recordings.source import check_parts
 
 
 def write_parts(parts: Iterable[Recording], path: Path) -> None:
@@ -17,7 +17,7 @@ def write_parts(parts: Iterable[Recording], path: Path) -> None:
     Raises:
         RecordingError: There are none, or their channels differ.
     """
-    whole = iter(alike(parts))
+    whole = iter(check_parts(parts))
     first = next(whole)
 
     def columns() -> Iterator[dict[str, Array]]:

@@ -21,11 +21,11 @@ PUMA = ROOT / "models/puma562.xml"
 def sensed(plant: Plant, q: Array, qd: Array, effort: Array) -> tuple[Array, Array, Array]:
     """Acceleration, joint friction and bedplate wrench in one state of the plant."""
     data = mujoco.MjData(plant.model)
-    data.qpos[plant.order], data.qvel[plant.order], data.ctrl[:] = q, qd, effort
+    data.qpos[plant.velocity_index], data.qvel[plant.velocity_index], data.ctrl[:] = q, qd, effort
     mujoco.mj_forward(plant.model, data)
-    friction = -(data.qfrc_passive + data.qfrc_constraint)[plant.order]
-    wrench = plant.X_BS.wrench(data.sensordata[plant.plate])
-    return data.qacc[plant.order].copy(), friction, wrench
+    friction = -(data.qfrc_passive + data.qfrc_constraint)[plant.velocity_index]
+    wrench = plant.X_BS.wrench(data.sensordata[plant.plate_index])
+    return data.qacc[plant.velocity_index].copy(), friction, wrench
 
 
 def check_laws(tree: tb.Tree, time: Array, true: Truth, size: float) -> None:
@@ -53,7 +53,9 @@ def run(
     friction: bool = True,
 ) -> Rollout:
     changed = tree.names if friction else ()
-    plant = build_plant(tb.ModelFile(path), tree, step, friction=friction, changed=changed)
+    plant = build_plant(
+        tb.ModelFile(path), tree, step, with_friction=friction, changed_joints=changed
+    )
     tree = tree if friction else tree.without_friction()
     return simulate_motion(plant, tree, motion, 1.0, 60.0, sampling)
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from testbed.core.base.arrays import Array
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.tree import Joint, Kind, Tree
+from testbed.core.robot.tree import Joint, JointKind, Tree
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Link:
 
     name: str
     parent: int
-    kind: Kind
+    kind: JointKind
     axis: Array
     xyz: Array
     quaternion: Array  # (w, x, y, z)
@@ -110,7 +110,7 @@ def random_robot(
     links: list[Link] = []
     for k in range(n):
         parent = k - 1 if rng.random() < 0.7 else int(rng.integers(-1, k))
-        kind: Kind = "revolute" if rng.random() < 0.65 else "prismatic"
+        kind: JointKind = "revolute" if rng.random() < 0.65 else "prismatic"
         links.append(_random_link(rng, f"j{k + 1}", parent, kind))
     return Robot(tuple(links), _random_link(rng, "pedestal", -1, "revolute"), np.array(gravity))
 
@@ -166,7 +166,7 @@ def _bared(rng: np.random.Generator, link: Link) -> Link:
     return replace(link, com=com, central=central[np.ix_(order, order)])
 
 
-def _random_link(rng: np.random.Generator, name: str, parent: int, kind: Kind) -> Link:
+def _random_link(rng: np.random.Generator, name: str, parent: int, kind: JointKind) -> Link:
     axis = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
     if rng.random() < 0.15:
         axis = rng.normal(size=3)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.lab.experiment.evaluate import bodies_asked, with_body_metrics
+from testbed.lab.experiment.evaluate import prior_and_options, with_body_metrics
 from testbed.lab.experiment.experiment_tables import Bound
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.paths import GOLDEN, ROOT
@@ -58,7 +58,7 @@ def run_of(
 ) -> tb.Run:
     """What can be identified from a recording with sensed kinematics; judged if asked for."""
     recording = noisy(ideal(tree)) if recording is None else recording
-    bodies = None if asked is None else bodies_asked(asked, tree)
+    bodies = None if asked is None else prior_and_options(asked, tree)
     run = tb.assemble_run(
         tree, recording, name="made", settings=EXACT, experiment=asked, bodies=bodies
     )

@@ -7,17 +7,17 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from testbed.core.base.transform import Transform
-from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.repair import FileLink
+from testbed.core.robot.force_sensor import ForceSensor, tree_beyond_sensor
+from testbed.core.robot.repair import ModelLink
 
 
-def links_of(tree: tb.Tree) -> tuple[FileLink, ...]:
+def links_of(tree: tb.Tree) -> tuple[ModelLink, ...]:
     """A link a body, as of a file without fixed joints."""
     names = ["pedestal", *(joint.body for joint in tree.joints)]
     bodies = [tree.pedestal, *tree.inertias]
     parents = ["", *(names[parent + 1] for parent in tree.parents)]
     return tuple(
-        FileLink(name, k - 1, parent, name, Transform(), body)
+        ModelLink(name, k - 1, parent, name, Transform(), body)
         for k, (name, parent, body) in enumerate(zip(names, parents, bodies, strict=True))
     )
 
@@ -39,4 +39,4 @@ def random_sensors(tree: tb.Tree, rng: np.random.Generator) -> list[ForceSensor]
 def random_cut(tree: tb.Tree, rng: np.random.Generator) -> tb.Tree:
     """What lies between a force sensor somewhere in the robot and the next, if there are any."""
     own, *others = random_sensors(tree, rng)
-    return beyond_sensor(tree, links_of(tree), own, others)
+    return tree_beyond_sensor(tree, links_of(tree), own, others)

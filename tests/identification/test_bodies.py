@@ -20,27 +20,41 @@ from benchmarks.sampling import factors, prior_robots
 from testbed.applications.analysis import analyse
 from testbed.bodies.consistency.consistent import consistent, robot_of
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.consistency.robots import BODY, _log_prior, elliptical_slices
+from testbed.bodies.consistency.robots import (
+    BODY_PARAMETER_COUNT,
+    _log_prior,
+    elliptical_slice_samples,
+)
 from testbed.bodies.estimate_summary import estimate_of_summary
-from testbed.bodies.linear_prior import LinearPrior, alone_determined, with_prior
-from testbed.bodies.posterior import WELL_CONDITIONED, Posterior, posterior, rows_of
-from testbed.bodies.prediction_errors import PredictionErrors, errors_of_another
-from testbed.bodies.prior import Prior, prior_of
-from testbed.bodies.row_products import FREEDOM, RowProducts, products_of
-from testbed.bodies.verdict import WELL, verdict_of
+from testbed.bodies.linear_prior import LinearPrior, determined_by_data, fit_with_prior
+from testbed.bodies.posterior import (
+    WELL_CONDITIONED,
+    Posterior,
+    compute_posterior,
+    corrected_row_parts,
+)
+from testbed.bodies.prediction_errors import PredictionErrors, errors_on_recording
+from testbed.bodies.prior import PriorBodies, prior_of
+from testbed.bodies.row_products import MIN_EXCESS_ROWS, RowProducts, row_parts
+from testbed.bodies.verdict import WELL_CODE, verdict_of
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import decode, encode
+from testbed.core.base.codec import from_json_values, to_json_values
 from testbed.core.base.errors import SettingsError
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
-from testbed.core.estimation.estimate import METHODS, Estimate, Method
+from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.windows import DENSE
-from testbed.core.parameters.pseudo_inertia import coordinates, matrices, parameters
-from testbed.core.parameters.symbols import to_barycentric
+from testbed.core.estimation.regression.windows import DENSE_ROWS_PER_CUTOFF
+from testbed.core.parameters.pseudo_inertia import (
+    parameters,
+    pseudo_inertia_coordinates,
+    pseudo_inertias,
+)
+from testbed.core.parameters.rules import SIGNALS, Signal
+from testbed.core.parameters.symbols import barycentric_from_standard
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.robot.drive_torque import drive_torque
 from testbed.core.robot.rigid_matter import inertia_flaw
-from testbed.lab.experiment.evaluate import wrong_bodies
+from testbed.lab.experiment.evaluate import perturbed_robot
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.refusals import refuses
@@ -72,7 +86,7 @@ def test_data_that_say_nothing_leave_the_file(rng: Rng) -> None:
     still = np.broadcast_to(rng.normal(size=3), (1, 40, 3))
     for columns, offset in ((np.zeros((1, 40, 3)), False), (still, True)):
         y = rng.normal(size=(1, 40))
-        values, covariance = with_prior(products(columns, y, offset), prior)
+        values, covariance = fit_with_prior(products(columns, y, offset), prior)
         np.testing.assert_allclose(values, prior.mean, atol=1e-9)
         np.testing.assert_allclose(covariance, prior.root @ prior.root.T, atol=1e-9)
 
@@ -92,7 +106,7 @@ def test_the_variance_is_that_of_many_robots() -> None:
         for k in range(1, 300):
             noise[k] = memory * noise[k - 1] + np.sqrt(1 - memory**2) * noise[k]
             columns[0, k] += memory * (columns[0, k - 1] - columns[0, k])
-        values, covariance = with_prior(products(columns, columns @ truth + noise), prior)
+        values, covariance = fit_with_prior(products(columns, columns @ truth + noise), prior)
         z.append(np.linalg.solve(np.linalg.cholesky(covariance), values - truth))
     size = np.sqrt(np.mean(np.square(z), axis=0))
     assert ((size > 0.75) & (size < 1.15)).all(), size
@@ -105,9 +119,9 @@ def test_what_a_prior_carries_to_another_parameter_is_not_the_datas(rng: Rng) ->
     rows = products(columns, columns[..., 0] + 0.1 * rng.normal(size=(1, 300)))
     root = np.array([[1.0, 0.0], [0.999, 0.04]])
     prior = LinearPrior(np.zeros(2), root, 2, np.array([1e-6]), np.full(2, -np.inf))
-    _, covariance = with_prior(rows, prior)
+    _, covariance = fit_with_prior(rows, prior)
     assert (np.diagonal(covariance) < 0.1 * prior.variance).all()
-    assert alone_determined(rows, prior).tolist() == [True, False]
+    assert determined_by_data(rows, prior).tolist() == [True, False]
 
 
 @given(rngs, st.booleans())
@@ -119,7 +133,7 @@ def test_a_prior_without_end_is_least_squares_in_which_friction_never_drives(
     measured = columns @ truth + 0.1 * rng.normal(size=(1, 300)) + 5.0 * offset
     least = np.array([-np.inf, -np.inf, 0.0, 0.0])
     prior = LinearPrior(np.zeros(4), 1e3 * np.eye(4), 2, np.array([1e-6]), least)
-    values, covariance = with_prior(products(columns, measured, offset), prior)
+    values, covariance = fit_with_prior(products(columns, measured, offset), prior)
     x, y = (each[0] - offset * each[0].mean(axis=0) for each in (columns, measured))
     slope = x.T @ (x @ values - y)  # of the squares: Karush, Kuhn and Tucker
     assert (values[2:] >= 0).all()
@@ -129,44 +143,48 @@ def test_a_prior_without_end_is_least_squares_in_which_friction_never_drives(
     assert (np.diagonal(covariance) < 1e-3 * prior.variance).all()
 
 
-@given(rngs, st.sampled_from(["external", "internal"]))
+@given(rngs, st.sampled_from(["wrench", "torque"]))
 @few(4)
-def test_products_are_those_of_the_rows(rng: Rng, method: Method) -> None:
+def test_products_are_those_of_the_rows(rng: Rng, method: Signal) -> None:
     """Whatever the blocks: residuals of any values."""
     tree = random_robot(rng, 2).tree()
     recording = ideal(tree, duration=20.0, seed=int(rng.integers(99)))
-    problem = Problem.of(tree, recording, method, tb.Settings(cutoff=3.0))
-    whole = products_of(problem, problem.source, method == "external").whole
-    made = list(problem.passes(1, per_cutoff=DENSE).rows(np.eye(len(problem.names))))
+    problem = Problem.from_recording(tree, recording, method, tb.Settings(cutoff=3.0))
+    whole = row_parts(problem, problem.source, method == "wrench").total
+    made = list(
+        problem.passes(1, per_cutoff=DENSE_ROWS_PER_CUTOFF).rows(np.eye(len(problem.names)))
+    )
     columns, y = (np.concatenate([each[k] for each in made], axis=1) for k in range(2))
     values, there = rng.normal(size=len(problem.names)), columns.any(axis=2)
     left = y - columns @ values
-    if method == "external":
+    if method == "wrench":
         left = left - there * (left.sum(axis=1) / np.maximum(there.sum(axis=1), 1))[:, None]
     square = (left**2).sum(axis=1)
-    np.testing.assert_allclose(whole.squares(values, whole.constants(values)), square, 1e-7, 1e-12)
+    np.testing.assert_allclose(
+        whole.residual_squares(values, whole.mean_residuals(values)), square, 1e-7, 1e-12
+    )
 
 
 def with_file(
     tree: tb.Tree,
     recording: tb.Recording,
-    method: Method = "internal",
+    method: Signal = "torque",
     estimate: tb.Estimate | None = None,
     error: float | None = None,
 ) -> Posterior:
     """By a recording with the tree's bodies as prior."""
     settings = tb.Settings() if estimate is None else estimate.settings
-    rows = rows_of(Problem.of(tree, recording, method, settings), estimate)
-    return posterior(rows, tb.prior_of(tree), estimate, prior_error=error)
+    rows = corrected_row_parts(Problem.from_recording(tree, recording, method, settings), estimate)
+    return compute_posterior(rows, tb.prior_of(tree), estimate, prior_error=error)
 
 
 def wrong_puma(error: float = 0.3) -> tb.Tree:
-    return wrong_bodies(robot("puma"), error, np.random.default_rng(3))
+    return perturbed_robot(robot("puma"), error, np.random.default_rng(3))
 
 
 @cache
 def added(
-    speed: float, method: Method, error: float | None = None
+    speed: float, method: Signal, error: float | None = None
 ) -> tuple[tb.Estimate, Posterior]:
     """To a wrong file of the PUMA, by twenty seconds of it."""
     wrong, recording = wrong_puma(), measured(robot("puma"), 5, speed=speed)
@@ -180,7 +198,7 @@ def by_name(found: Posterior) -> dict[str, tuple[float, float]]:
 
 
 def test_where_the_data_determine_all_nothing_moves() -> None:
-    estimate, found = added(1.0, "external")
+    estimate, found = added(1.0, "wrench")
     assert not found.used
     assert found.determined == estimate.names
     np.testing.assert_array_equal(found.values, estimate.values)
@@ -189,7 +207,7 @@ def test_where_the_data_determine_all_nothing_moves() -> None:
 
 def test_a_file_that_says_nothing_leaves_least_squares_with_their_noise() -> None:
     """Well-conditioned torques: values and covariance of correlated noise, friction positive."""
-    estimate, found = added(1.0, "internal", error=30.0)
+    estimate, found = added(1.0, "torque", error=30.0)
     assert found.used
     assert estimate.condition < WELL_CONDITIONED
     assert (np.abs(found.values - estimate.values) < 0.01 * estimate.sigma).all()
@@ -199,22 +217,24 @@ def test_a_file_that_says_nothing_leaves_least_squares_with_their_noise() -> Non
 @pytest.mark.slow
 def test_where_they_do_not_the_file_is_not_made_worse() -> None:
     """Slow motion, torques: nearer to the truth than least squares, and fast motion, too."""
-    estimate, found = added(0.1, "internal")
+    estimate, found = added(0.1, "torque")
     truth = estimate.minimal.values(tb.barycentric(robot("puma")))
     errors = [np.abs(each[: found.count] - truth) for each in (found.values, estimate.values)]
     assert np.median(errors[0] / errors[1]) < 0.2
     assert len(found.determined) < found.count
     assert ((found.share >= 0) & (found.share <= 1)).all()
     assert 0.15 < found.prior_error < 0.6
-    assert not found.worse("posterior")
-    problem = Problem.of(robot("puma"), measured(robot("puma"), 6), "internal", estimate.settings)
+    assert not found.worse_channels("posterior")
+    problem = Problem.from_recording(
+        robot("puma"), measured(robot("puma"), 6), "torque", estimate.settings
+    )
     models = found.models | {"plain": estimate.values}
-    fast = errors_of_another(problem, problem.source, models)
-    assert {d.code for d in fast.worse("plain")} == {"estimate.worse-than-file"}
-    assert not [*fast.worse("posterior")]
-    again = decode(Posterior, encode(found), {})
+    fast = errors_on_recording(problem, problem.source, models)
+    assert {d.code for d in fast.worse_channels("plain")} == {"estimate.worse-than-file"}
+    assert not [*fast.worse_channels("posterior")]
+    again = from_json_values(Posterior, to_json_values(found), {})
     np.testing.assert_array_equal(again.values, found.values)
-    assert again.errors[0].best == found.errors[0].best
+    assert again.errors[0].best_method == found.errors[0].best_method
 
 
 def test_what_is_known_is_known_with_the_file_too() -> None:
@@ -222,7 +242,7 @@ def test_what_is_known_is_known_with_the_file_too() -> None:
     slow = measured(robot("puma"), 5, speed=0.1)
     settings = tb.Settings(known={"mass": 21.0, "mb*1y": (1.44, 1e-3)})
     estimate = tb.identify(wrong_puma(), slow, settings=settings)
-    found = with_file(wrong_puma(), slow, "external", estimate)
+    found = with_file(wrong_puma(), slow, "wrench", estimate)
     value = by_name(found)
     np.testing.assert_allclose(value["mbar1"], (21.0, 0.0), atol=1e-5)
     assert abs(value["mb*1y"][0] - 1.44) < 3e-3
@@ -234,15 +254,15 @@ def test_what_is_known_is_known_with_the_file_too() -> None:
 def test_the_true_file_leaves_noise_of_another_recording() -> None:
     """And the wrong one more; a plate's zero is the recording's own."""
     tree = robot("puma")
-    _, found = added(1.0, "external", error=0.5)
+    _, found = added(1.0, "wrench", error=0.5)
     moved = plus(measured(tree, 6), wrench=[9.0, 0, 0, 0, 0, 2.0])
-    problem = Problem.of(tree, moved, "external")
+    problem = Problem.from_recording(tree, moved, "wrench")
     truth = problem.minimal.values(tb.barycentric(tree))
-    errors = errors_of_another(problem, problem.source, {**found.models, "truth": truth})
+    errors = errors_on_recording(problem, problem.source, {**found.models, "truth": truth})
     assert (errors.residual["truth"] < 0.12).all()
     assert (errors.residual["refitted"] > errors.residual["truth"]).all()
     assert errors.residual["file"][0] > 8
-    assert list(errors.worse("posterior")) == []
+    assert list(errors.worse_channels("posterior")) == []
 
 
 def with_last_joint(tree: tb.Tree, speed: float, seed: int) -> tb.Recording:
@@ -263,13 +283,13 @@ def test_a_joint_of_which_few_rows_count_determines_nothing(speed: float) -> Non
     tree = robot("ur5")
     friction = {name: 1.03 + 0.11 * k for k, name in enumerate(tree.names)}
     tree = tree.with_joints({k: {"coulomb": f, "viscous": f} for k, f in friction.items()})
-    wrong = wrong_bodies(tree, 0.2, np.random.default_rng(0))
-    truth = tb.minimal_set(tree, "dynamic").values(tb.barycentric(tree))
+    wrong = perturbed_robot(tree, 0.2, np.random.default_rng(0))
+    truth = tb.minimal_set(tree, "torque").values(tb.barycentric(tree))
     for seed in range(3):
         found = with_file(wrong, with_last_joint(tree, speed, seed))
         (held_out,) = (each for each in found.errors if each.of == "like")
         own = [k for k, name in enumerate(found.names) if name.endswith(tree.names[-1])]
-        few_rows = bool(held_out.rows[-1] < len(own) + FREEDOM)
+        few_rows = bool(held_out.rows[-1] < len(own) + MIN_EXCESS_ROWS)
         doubts = {each.code for each in verdict_of([], [found])}
         assert ("verdict.few-rows" in doubts) == few_rows
         assert found.prior_error < 1
@@ -307,8 +327,8 @@ def test_a_verdict_is_well_only_where_held_out_parts_bear_it_out(
     sure = {each: dict.fromkeys(left, np.zeros(1)) for each in ("refitted", "plain")}
     signal, rows = np.array([10.0]), np.array([100.0])
     residual = {name: np.array([size]) for name, size in left.items()}
-    errors = PredictionErrors("internal", "like", ("a",), ("N m",), rows, signal, residual, sure)
-    _, made = added(1.0, "internal", error=0.5)
+    errors = PredictionErrors("torque", "like", ("a",), ("N m",), rows, signal, residual, sure)
+    _, made = added(1.0, "torque", error=0.5)
     found = replace(made, used=True, prior_error=error, errors=(errors,))
     model = "posterior" if default else "plain"
     wanted = {
@@ -319,8 +339,8 @@ def test_a_verdict_is_well_only_where_held_out_parts_bear_it_out(
     }
     said = verdict_of([], [found], model)
     codes = [each.code for each in said]
-    assert codes == [WELL] or set(codes) == {code for code, holds in wanted.items() if holds}
-    assert (codes == [WELL]) == (not any(wanted.values()))
+    assert codes == [WELL_CODE] or set(codes) == {code for code, holds in wanted.items() if holds}
+    assert (codes == [WELL_CODE]) == (not any(wanted.values()))
     levels = [each.level for each in said]
     assert levels == sorted(levels)  # errors before warnings
 
@@ -328,7 +348,7 @@ def test_a_verdict_is_well_only_where_held_out_parts_bear_it_out(
 def verdict_on(recording: tb.Recording) -> list[tb.Diagnostic]:
     """With a file of the PUMA that is 15 % off."""
     wrong = wrong_puma(0.15)
-    estimate = tb.identify(wrong, recording, "internal")
+    estimate = tb.identify(wrong, recording, "torque")
     return [*verdict_of([estimate], [with_file(wrong, recording, estimate=estimate)])]
 
 
@@ -337,7 +357,7 @@ def test_clean_data_are_well_and_data_of_another_scale_are_not() -> None:
     clean = measured(robot("puma"), 5, speed=0.3, noise=0.1)
     scaled = replace(clean, torque=clean.measured("torque") * [1.5, 1.0, 1.0])
     well, other = ({each.code for each in verdict_on(data)} for data in (clean, scaled))
-    assert well == {WELL}
+    assert well == {WELL_CODE}
     assert other == {"verdict.file", "model-error.corrected"}
 
 
@@ -360,26 +380,26 @@ def test_a_simulated_recording_has_no_prior() -> None:
     tree = robot("puma")
     recording = measured(tree, 5, duration=5.0)
     real = replace(recording, metadata=Metadata(mapping={}))
-    made = [analyse(tree, each, methods=["external"]).posterior for each in (recording, real)]
-    assert [set(each) for each in made] == [set(), {"external"}]
+    made = [analyse(tree, each, methods=["wrench"]).posterior for each in (recording, real)]
+    assert [set(each) for each in made] == [set(), {"wrench"}]
 
 
-def prior_for(tree: tb.Tree, seed: int = 7, error: float = 0.3) -> Prior:
+def prior_for(tree: tb.Tree, seed: int = 7, error: float = 0.3) -> PriorBodies:
     """A model file that is wrong by so much."""
-    return prior_of(wrong_bodies(tree, error, np.random.default_rng(seed)))
+    return prior_of(perturbed_robot(tree, error, np.random.default_rng(seed)))
 
 
 @cache
-def estimate_of(name: str, method: Method = "external") -> Estimate:
+def estimate_of(name: str, method: Signal = "wrench") -> Estimate:
     """From ten seconds with the usual noise."""
     return tb.identify(robot(name), measured(robot(name), 1, duration=10.0), method)
 
 
-def cost(found: Array, estimate: Estimate, prior: Prior, error: float) -> float:
+def cost(found: Array, estimate: Estimate, prior: PriorBodies, error: float) -> float:
     """What is to be least, by its definition, for estimates without terms of joints."""
     gap = estimate.minimal.standard_matrix @ found.ravel() - estimate.values
     fit, away = gap @ np.linalg.solve(estimate.covariance, gap) / 2, 0.0
-    for own, other in zip(matrices(found), matrices(prior.standard), strict=True):
+    for own, other in zip(pseudo_inertias(found), pseudo_inertias(prior.standard), strict=True):
         part = np.linalg.solve(other, own)
         away += float(np.trace(part) - np.linalg.slogdet(part)[1] - 4)
     return float(fit + away / error**2)
@@ -399,11 +419,11 @@ def test_no_possible_bodies_nearby_are_better() -> None:
         for size in (1e-4, 1e-2):
             for _ in range(50):
                 change = np.eye(4) + size * rng.normal(size=(tree.n, 4, 4))
-                bodies = change @ matrices(found.standard) @ np.swapaxes(change, 1, 2)
+                bodies = change @ pseudo_inertias(found.standard) @ np.swapaxes(change, 1, 2)
                 there = cost(parameters(bodies), estimate, prior, 0.5)
                 assert there >= here - 1e-6 * abs(here)
         assert found.unsettled < 1e-2
-        assert (np.linalg.eigvalsh(matrices(found.standard)) > 0).all()
+        assert (np.linalg.eigvalsh(pseudo_inertias(found.standard)) > 0).all()
         assert (found.eigenvalues[:, 0] > 0).all()
         assert ((found.data_share >= 0) & (found.data_share <= 1)).all()
 
@@ -412,7 +432,7 @@ def test_perfect_data_and_the_true_bodies_give_the_true_bodies() -> None:
     """Friction and rotors, too; the tree's own bodies are not looked at, but the prior's."""
     tree = robot("puma").with_joints({"elbow": {"rotor_inertia": 0.5}})
     settings = replace(EXACT, terms=("coulomb", "viscous", "rotor"))
-    estimates = [tb.identify(tree, ideal(tree), method, settings=settings) for method in METHODS]
+    estimates = [tb.identify(tree, ideal(tree), method, settings=settings) for method in SIGNALS]
     found = consistent(tree, estimates, prior_of(tree))
     own = robot_of(found, tree)
     for body, truth in zip(own.inertias, tree.inertias, strict=True):
@@ -423,7 +443,7 @@ def test_perfect_data_and_the_true_bodies_give_the_true_bodies() -> None:
         np.testing.assert_allclose(data_share, true, rtol=1e-5, atol=1e-4)
     assert found.diagnostics == ()
     assert (found.coefficients >= 0).all()
-    false = wrong_bodies(tree, 0.9, np.random.default_rng(0)).without_friction()
+    false = perturbed_robot(tree, 0.9, np.random.default_rng(0)).without_friction()
     other = consistent(false, estimates, prior_of(tree))
     np.testing.assert_array_equal(other.standard, found.standard)
     np.testing.assert_array_equal(other.coefficients, found.coefficients)
@@ -433,7 +453,7 @@ def test_perfect_data_and_the_true_bodies_give_the_true_bodies() -> None:
 def test_known_masses_are_obeyed() -> None:
     """Exactly, or to their sigma; one that the file has not, and of all bodies together."""
     tree, prior = robot("puma"), prior_for(robot("puma"))
-    estimates = [estimate_of("puma", method) for method in METHODS]
+    estimates = [estimate_of("puma", method) for method in SIGNALS]
     names, total = [joint.body for joint in tree.joints], sum(b.mass for b in tree.inertias)
     for sigma, near in ((1e-4, 1e-3), (0.0, 1e-9)):
         options = ConsistencyOptions(known={f"mass/{names[1]}": 4.5, "mass": [total, sigma]})
@@ -467,7 +487,7 @@ def test_impossible_wishes_name_what_contradicts() -> None:
 def test_data_that_no_bodies_have_are_said() -> None:
     """Mirrored ones, friction below zero, wrong torque constants, covariances that are none."""
     tree, prior = robot("puma"), prior_of(robot("puma"))
-    plate, torques = (estimate_of("puma", method) for method in METHODS)
+    plate, torques = (estimate_of("puma", method) for method in SIGNALS)
     dry = np.array([name.startswith("coulomb") for name in torques.names])
     backwards = replace(torques, values=np.where(dry, -torques.values, torques.values))
     scaled = replace(torques, values=1.06 * torques.values)
@@ -482,7 +502,7 @@ def test_data_that_no_bodies_have_are_said() -> None:
     assert alone.diagnostics == ()
     assert both.bent[1].widened > 3
     assert (np.abs(both.bent[0].values - alone.bent[0].values) / plate.sigma).max() < 2
-    assert [each.method for each in without.bent] == ["external"]
+    assert [each.method for each in without.bent] == ["wrench"]
     with refuses(tb.TestbedError):
         consistent(tree, [hollow], prior)
 
@@ -507,13 +527,13 @@ def random_bodies(tree: tb.Tree, rng: Rng, thin: bool) -> Array:
         inertia = np.trace(second) * np.eye(3) - second
         tensor = inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
         found.append([masses.sum(), *masses @ points, *tensor])
-    return np.asarray(to_barycentric(tree, np.array(found))).ravel()
+    return np.asarray(barycentric_from_standard(tree, np.array(found))).ravel()
 
 
 @pytest.mark.slow
 @few(8)
-@given(rngs, st.integers(2, 6), st.sampled_from(METHODS))
-def test_robots_are_possible_and_mirrored_ones_not(rng: Rng, joints: int, method: Method) -> None:
+@given(rngs, st.integers(2, 6), st.sampled_from(SIGNALS))
+def test_robots_are_possible_and_mirrored_ones_not(rng: Rng, joints: int, method: Signal) -> None:
     """Point masses lie on the cone's edge, noise moves them beyond it; the nearest is possible."""
     tree = random_robot(rng, joints).tree()
     settings = replace(EXACT, terms=("coulomb", "rotor"))
@@ -542,7 +562,7 @@ def test_robots_are_possible_and_mirrored_ones_not(rng: Rng, joints: int, method
 def test_a_rotor_may_add_to_an_inertia_and_never_take_from_it() -> None:
     """K*1zz+rotor/waist above what any body has is a rotor; below zero is nothing."""
     tree, settings = robot("puma"), replace(EXACT, terms=("coulomb", "rotor"))
-    estimate = tb.identify(tree, ideal(tree), "internal", settings=settings)
+    estimate = tb.identify(tree, ideal(tree), "torque", settings=settings)
     k = estimate.base.names.index("K*1zz+rotor/waist")
     for value, impossible in ((1e4, False), (-5.0, True)):
         values = np.array(estimate.base.values)
@@ -564,7 +584,7 @@ def test_slices_draw_a_gaussian_with_a_corner_cut_off() -> None:
         form = np.einsum("ni,ij,nj->n", points, np.linalg.inv(correlated), points)
         return np.where((points > 0.5).all(axis=1), -form / 2, -np.inf)
 
-    found = elliptical_slices(density, rng.uniform(0.6, 2, (2000, 2)), 40, rng)
+    found = elliptical_slice_samples(density, rng.uniform(0.6, 2, (2000, 2)), 40, rng)
     exact = rng.multivariate_normal(np.zeros(2), correlated, 20_000)
     exact = exact[(exact > 0.5).all(axis=1)]
     for along in ([1, 0], [0, 1], [1, 1], [1, -1]):
@@ -577,7 +597,7 @@ def test_the_density_of_bodies_is_that_of_their_coordinates() -> None:
 
     def of(logs: Array) -> Array:
         root = factors(logs)
-        return coordinates(root @ np.swapaxes(root, -1, -2))
+        return pseudo_inertia_coordinates(root @ np.swapaxes(root, -1, -2))
 
     differences = []
     for logs in error * rng.normal(size=(6, 10)):
@@ -595,7 +615,7 @@ def test_draws_can_exist_agree_with_the_data_and_are_the_files_elsewhere() -> No
     file = robot("puma")
     prior, rng = prior_of(file), np.random.default_rng(1)
     truth = prior_robots(file, prior, 0.3, 1, rng).tree(0, file)
-    estimate = tb.identify(file, measured(truth, 2, duration=10.0), "internal")
+    estimate = tb.identify(file, measured(truth, 2, duration=10.0), "torque")
     found = tb.robots(file, [estimate], prior, 250, rng, ConsistencyOptions(prior_error=0.3))
     trees = [found.tree(k, file) for k in range(250)]
     assert all(inertia_flaw("", b.mass, b.central) is None for t in trees[:50] for b in t.inertias)
@@ -608,7 +628,7 @@ def test_draws_can_exist_agree_with_the_data_and_are_the_files_elsewhere() -> No
     mass = found.values[:, 0, 0]  # of the first body joint torques see nothing
     logs = np.log(mass / prior.standard[0, 0]) / 0.3
     assert found.share[0, 0] < 0.01
-    assert found.share[:, BODY].min() > 0.9
+    assert found.share[:, BODY_PARAMETER_COUNT].min() > 0.9
     assert stats.kstest(logs, "norm").pvalue > UNIFORM
     again = tb.robots(file, [estimate], prior, 3, np.random.default_rng(4))
     same = tb.robots(file, [estimate], prior, 3, np.random.default_rng(4))

@@ -15,19 +15,19 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.applications.calibration import Calibration, calibrate, corrected
-from testbed.applications.payload.payload import payload, seen_of_payload
+from testbed.applications.payload.payload import payload, payload_influence
 from testbed.applications.payload.torque_scales import torque_scales
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, TestbedError, UnknownName
 from testbed.core.estimation.regression import windows
 from testbed.core.estimation.regression.constraints import centre_of_mass, total_mass
 from testbed.core.estimation.regression.windows import make_plan, row_weights
-from testbed.core.estimation.sensor.predicted_wrench import predict_wrench, row_filter
-from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
-from testbed.core.kernel.layout import layout
-from testbed.lab.experiment.plate_file import read_plate, write_plate
+from testbed.core.estimation.sensor.predicted_wrench import row_filter, window_prediction
+from testbed.core.estimation.sensor.unknowns import SensorErrorColumns, sensor_unknowns
+from testbed.core.kernel.layout import make_layout
+from testbed.lab.experiment.plate_file import read_calibration, write_calibration
 from testbed.sensors.catalogue import estimable_errors, systematic_errors
-from testbed.sensors.shifted_signals import shifted
+from testbed.sensors.shifted_signals import shifted_signal
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate
@@ -97,8 +97,8 @@ def test_a_calibrated_plate_makes_other_recordings_right(tmp_path: Path) -> None
     """As it is, and read again from its file to the last bit."""
     tree, path = robot("puma"), tmp_path / "plate.toml"
     plate = replace(result("plate"), robot='a "robot"')
-    write_plate(plate, path)
-    again: Calibration = read_plate(path, tree)
+    write_calibration(plate, path)
+    again: Calibration = read_calibration(path, tree)
     assert (again.robot, again.numbers) == (plate.robot, plate.numbers)
     right = measured(tree, 5, duration=5.0)
     alone = replace(again, numbers=tuple(each for each in again.numbers if each.kind == "matrix"))
@@ -114,7 +114,7 @@ def test_a_calibrated_plate_makes_other_recordings_right(tmp_path: Path) -> None
     ):
         path.write_text(text)
         with pytest.raises(TestbedError, match=culprit):  # all names of numbers are told
-            corrected(right, tree, read_plate(path, tree))
+            corrected(right, tree, read_calibration(path, tree))
 
 
 def test_what_does_not_suffice_is_refused_before_the_data_are_read() -> None:
@@ -147,7 +147,7 @@ def test_a_payload_is_what_was_added(name: str) -> None:
     one, other = (tb.identify(tree, measured(each, k)) for k, each in ((70, tree), (80, heavy)))
     noisy = payload(tree, one, other)
     assert np.abs((noisy.values - ten())[identifiable] / noisy.sigma[identifiable]).max() < 4.5
-    assert noisy.chance > 1e-4
+    assert noisy.p_value > 1e-4
     assert noisy.diagnostics == ()
 
 
@@ -158,7 +158,7 @@ def test_torques_weigh_a_payload_in_their_scale_and_a_known_one_gives_it() -> No
     heavy, scales = loaded(tree), 0.91 + 0.01 * np.arange(6)
     whole = [ideal(each, seed=k) for k, each in enumerate((tree, heavy))]
     uniform = [plus(each, torque=-0.09 * each.measured("torque")) for each in whole]
-    one, other = (tb.identify(tree, each, "internal", settings=EXACT) for each in uniform)
+    one, other = (tb.identify(tree, each, "torque", settings=EXACT) for each in uniform)
     weighed = payload(tree, one, other)
     np.testing.assert_allclose(weighed.values, 0.91 * ten(), atol=1e-7)
     assert [each.code for each in weighed.diagnostics] == ["payload.scale"]
@@ -189,10 +189,10 @@ def test_torques_weigh_a_payload_in_their_scale_and_a_known_one_gives_it() -> No
 def test_what_a_load_adds_is_what_the_minimal_set_holds(tree: tb.Tree, link: int, rng: Rng) -> None:
     """On any link; and total mass and centres of mass, against the wrench at rest in any pose."""
     link %= tree.n
-    minimal = tb.minimal_set(tree, "reaction")
+    minimal = tb.minimal_set(tree, "wrench")
     values = minimal.values(tb.barycentric(tree))
     more = minimal.values(tb.barycentric(loaded(tree, link)))
-    adds = seen_of_payload(tree, minimal, tree.names[link])
+    adds = payload_influence(tree, minimal, tree.names[link])
     np.testing.assert_allclose(adds @ ten(), more - values, atol=1e-12)
     if not tree.gravity.any():
         return  # nothing has a weight
@@ -218,7 +218,7 @@ def test_what_is_no_payload_is_noticed() -> None:
     heavy = loaded(loaded(tree), 1)
     one, other = (tb.identify(t, measured(t, k)) for k, t in enumerate((tree, heavy)))
     found, swapped = payload(tree, one, other), payload(tree, other, one)
-    assert found.chance < 1e-6
+    assert found.p_value < 1e-6
     assert len(swapped.diagnostics) > len(found.diagnostics) > 0
 
 
@@ -229,7 +229,7 @@ def test_what_tells_no_payload_is_refused() -> None:
         tb.identify(tree, ideal(tree), settings=replace(EXACT, zeros=zeros))
         for zeros in (False, True)
     )
-    inner = tb.identify(tree, ideal(tree), "internal", settings=EXACT)
+    inner = tb.identify(tree, ideal(tree), "torque", settings=EXACT)
     for pair in ((one, symmetric), (one, inner)):
         with refuses(SettingsError):
             payload(tree, *pair)
@@ -260,20 +260,20 @@ def on_pedestal(tree: tb.Tree, duration: float) -> tb.Recording:
 
 def columns_of(recording: tb.Recording, tree: tb.Tree, kind: str, estimated: bool = False) -> Array:
     """The nuisance's columns, (6, rows, k)."""
-    minimal, settings = tb.minimal_set(tree, "reaction"), tb.Settings(position_cutoff="off")
-    plan = make_plan(recording, layout(tree, minimal), TARE, settings)
-    cutoff, unknowns = settings.row_low_pass, unknowns_of(tree, [ALL[kind]])
+    minimal, settings = tb.minimal_set(tree, "wrench"), tb.Settings(position_cutoff="off")
+    plan = make_plan(recording, make_layout(tree, minimal), TARE, settings)
+    cutoff, unknowns = settings.row_low_pass, sensor_unknowns(tree, [ALL[kind]])
     assert cutoff is not None
     filtered, values = row_filter(plan, cutoff), minimal.values(tb.barycentric(tree))
-    made = Columns(plan, filtered, values, unknowns)
+    made = SensorErrorColumns(plan, filtered, values, unknowns)
     theta, parts = plan.layout.theta @ (plan.layout.basis @ values), []
     for window in plan.windows():
         signals = plan.signals(recording.part(window.first, window.last), window)
         if estimated:
             parts.append(made(signals, window.row))
         else:
-            predicted = predict_wrench(plan, filtered, theta, signals, window.row)
-            parts.append(ALL[kind].columns(predicted).transpose(1, 0, 2))
+            predicted = window_prediction(plan, filtered, theta, signals, window.row)
+            parts.append(ALL[kind].regressor_columns(predicted).transpose(1, 0, 2))
     return np.concatenate(parts, axis=1)
 
 
@@ -382,24 +382,24 @@ def test_what_the_fault_does_is_undone() -> None:
     exact = on_pedestal(tree, 2.0)
     for kind, values in VALUES.items():
         scaled = np.ravel(np.eye(6)) + values if kind == "matrix" else values
-        back = ALL[kind].undo(shown(exact, kind, values), scaled, exact.time, tree)
+        back = ALL[kind].corrected_recording(shown(exact, kind, values), scaled, exact.time, tree)
         gap = back.measured("wrench")[10:-10] - exact.measured("wrench")[10:-10]
         assert np.abs(gap).max() < 1e-6, kind
     t, powers = np.arange(60.0)[:, None] / 10, np.arange(8)
     for samples in (0.0, 3.0, -2.0, 0.5, 7.25, -1.75):
         wanted = ((t + samples / 10) ** powers)[12:-12]
-        np.testing.assert_allclose(shifted(t**powers, samples)[12:-12], wanted, rtol=1e-9)
+        np.testing.assert_allclose(shifted_signal(t**powers, samples)[12:-12], wanted, rtol=1e-9)
 
 
 def test_a_long_recording_is_looked_at_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
     """From its first window to its last: a fault of one part would pass for none."""
-    monkeypatch.setattr(windows, "WINDOW", 1000)
+    monkeypatch.setattr(windows, "WINDOW_SAMPLES", 1000)
     tree = robot("puma")
-    rows = layout(tree.without_inertias(), tb.minimal_set(tree, "reaction"))
+    rows = make_layout(tree.without_inertias(), tb.minimal_set(tree, "wrench"))
     plan = make_plan(measured(tree, 1, duration=260.0, rate=100.0), rows, TARE, tb.Settings())
     every = [window.row for window in plan.windows()]
     for most in (10_000, 4, 3):
-        monkeypatch.setattr(windows, "CLOSE_WINDOWS", most)
-        at = [every.index(row) for row in sorted(replace(plan).close_windows)]
+        monkeypatch.setattr(windows, "ANALYSED_WINDOWS", most)
+        at = [every.index(row) for row in sorted(replace(plan).analysed_windows)]
         assert (len(at), at[0], at[-1]) == (min(most, len(every)), 0, len(every) - 1)
         assert np.ptp(np.diff(at)) <= 1

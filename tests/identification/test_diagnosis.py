@@ -13,9 +13,19 @@ import pytest
 import testbed as tb
 from benchmarks.fault_trials import trials
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import from_json, messages, ordered, phrase
-from testbed.core.estimation.diagnostics.torques import cross_check, diagnostics_of, torque_factor
-from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.base.diagnostics import (
+    cause_phrase,
+    diagnostics_from_json,
+    message_table,
+    ordered_diagnostics,
+)
+from testbed.core.estimation.diagnostics.torques import (
+    diagnostics_of_estimates,
+    torque_factor,
+    torque_scale_diagnostics,
+)
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.parameters.rules import SIGNALS
 from testbed.core.recordings.recording import Recording
 from tests.helpers.ideal import plus
 from tests.helpers.measured import measured
@@ -27,7 +37,7 @@ pytestmark = pytest.mark.slow
 
 TOLD = {
     "tare 0": "plate.tare of the tare's force",
-    "moments in N mm": "estimate.impossible of the external estimate",
+    "moments in N mm": "estimate.impossible of the wrench estimate",
     "Fz of opposite sign": "plate.negative-mass of the robot's total mass",
     "Mz of opposite sign": "channel.residual of channel Mz",
     "Fy dead": "channel.constant of channel Fy",
@@ -41,11 +51,11 @@ TOLD = {
 
 
 def both(tree: tb.Tree, recording: Recording, zeros: bool = True) -> list[Estimate]:
-    return [tb.identify(tree, recording, m, zeros=zeros) for m in METHODS]
+    return [tb.identify(tree, recording, m, zeros=zeros) for m in SIGNALS]
 
 
 def errors_of(estimates: list[Estimate]) -> list[str]:
-    return [each.code for each in diagnostics_of(estimates) if each.level == "error"]
+    return [each.code for each in diagnostics_of_estimates(estimates) if each.level == "error"]
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +70,7 @@ def test_nothing_is_found_in_clean_recordings(name: str) -> None:
     for case in ({}, {"memory": 0.98}, {"speed": 0.2}, {"noise": 10.0}, {"noise": 0.0}):
         assert errors_of(both(tree, measured(tree, 1, **case))) == []
     free = tree.with_gravity([0.0, 0.0, 0.0])
-    assert not tb.identify(free, measured(free)).doubtful
+    assert not tb.identify(free, measured(free)).has_errors
     pendulum = tb.load_tree(GOLDEN / "robots/pendulum.urdf")  # forces that are constant
     assert errors_of(both(pendulum, measured(pendulum, noise=0.0), zeros=False)) == []
 
@@ -151,11 +161,11 @@ def test_late_torques_are_told_from_early_ones_without_a_plate() -> None:
     """By 20 ms; of early ones the delays are negative."""
     tree = robot("gantry")
     whole = measured(tree, duration=60.0)
-    assert not tb.identify(tree, whole, "internal").doubtful
+    assert not tb.identify(tree, whole, "torque").has_errors
     for samples in (4, -4):
         torque = np.roll(whole.measured("torque"), samples, axis=0)
         late = replace(whole, torque=torque).part(8, whole.samples - 8)
-        (error,) = tb.identify(tree, late, "internal").model_errors
+        (error,) = tb.identify(tree, late, "torque").model_errors
         assert error.family == "torque_lag"
         delays = [each for each in error.coefficients if abs(each.value) > 6 * each.sigma]
         assert len(delays) > 2
@@ -173,20 +183,20 @@ def test_factors_between_methods_are_told_with_causes(puma: tb.Tree, recording: 
     """Constants that are off a little, units, signs; 1.5 % is left in peace."""
     seen = []
     for factor in (1.015, 1.1, 0.92, -1.0, 1e3, 0.7376, 1 / 53.7):
-        found = [*cross_check(*both(puma, scaled(recording, factor)))]
+        found = [*torque_scale_diagnostics(*both(puma, scaled(recording, factor)))]
         assert len(found) == 3 * (factor != 1.015)
         assert all(each.value == pytest.approx(factor, rel=0.02) for each in found)
         near = 0.8 < factor < 1.2
         assert {each.code for each in found} <= {"torque.constant" if near else "torque.scale"}
         if near:
             assert all((each.significance or 0) > 8 for each in found)
-            assert len(tb.sentences(ordered(found))) <= 1
+            assert len(tb.sentences(ordered_diagnostics(found))) <= 1
         else:
             seen.append({each.causes[0] for each in found})
     assert [len(causes) for causes in seen] == [1, 1, 1, 1]
     assert len(set.union(*seen)) == 4  # sign, N mm, lbf ft, the gear
-    other = tb.identify(puma, recording, "internal", gravity=[0, 0, -1])
-    assert not [*cross_check(tb.identify(puma, recording, zeros=True), other)]
+    other = tb.identify(puma, recording, "torque", gravity=[0, 0, -1])
+    assert not [*torque_scale_diagnostics(tb.identify(puma, recording, zeros=True), other)]
 
 
 @pytest.mark.parametrize("name", ["puma", "gantry"])
@@ -198,7 +208,7 @@ def test_the_factor_is_the_torque_constant_whatever_rubs(name: str) -> None:
     gain = np.linspace(0.5, 2.0, tree.n)
     wrong = plus(scaled(measured(geared, duration=60.0), gain), torque=2.0)
     settings = tb.Settings(terms=("coulomb", "viscous", "offset", "rotor"))
-    external, internal = (tb.identify(geared, wrong, m, settings=settings) for m in METHODS)
+    external, internal = (tb.identify(geared, wrong, m, settings=settings) for m in SIGNALS)
     s = tb.selection(internal.minimal, external.minimal)
     known, spread = s @ external.base.values, s @ external.base.covariance @ s.T
     factors = [torque_factor(internal, known, spread, j) for j in range(tree.n)]
@@ -219,18 +229,18 @@ def a_case(code: str, method: str = "", significance: float | None = None) -> tb
     )
 
 
-CONSTANT = a_case("torque.constant", "internal", 90.0)
-CLOCK = a_case("plate.skew", "external", 30.0)
+CONSTANT = a_case("torque.constant", "torque", 90.0)
+CLOCK = a_case("plate.skew", "wrench", 30.0)
 ENCODER = a_case("encoder.range")
 
 
 def test_one_cause_comes_first_with_what_follows_from_it() -> None:
     """Of its own method; a small fault explains no gross residual; the clearest first."""
     bodies, other, error, residual = (
-        a_case("estimate.impossible", "external"),
-        a_case("estimate.impossible", "internal"),
-        a_case("estimate.bias", "internal"),
-        a_case("channel.residual", "external"),
+        a_case("estimate.impossible", "wrench"),
+        a_case("estimate.impossible", "torque"),
+        a_case("estimate.bias", "torque"),
+        a_case("channel.residual", "wrench"),
     )
     note = tb.Diagnostic("note", "what else is known", "info")
     for given, wanted, follows in (
@@ -242,19 +252,19 @@ def test_one_cause_comes_first_with_what_follows_from_it() -> None:
         ([ENCODER, residual], [ENCODER], 1),
         ([error, other], [other], 1),
     ):
-        found = ordered(given)
+        found = ordered_diagnostics(given)
         assert [each for each in found if not each.follows] == wanted
         assert sum(bool(each.follows) for each in found) == follows
-        assert ordered(found) == found
+        assert ordered_diagnostics(found) == found
         lines = tb.sentences(found)
         assert [line.startswith(d.text) for line, d in zip(lines, wanted, strict=True)] == [
             True for _ in wanted
         ]
-        symptoms = {messages()[each.code].symptom for each in found if each.follows}
+        symptoms = {message_table()[each.code].symptom for each in found if each.follows}
         assert all(any(symptom in line for line in lines) for symptom in symptoms)
-        assert from_json(json.loads(json.dumps([d.as_dict() for d in found]))) == found
+        assert diagnostics_from_json(json.loads(json.dumps([d.as_dict() for d in found]))) == found
     several = [replace(ENCODER, text=f"joint {k}") for k in range(5)]
-    (line,) = tb.sentences(ordered(several))
+    (line,) = tb.sentences(ordered_diagnostics(several))
     assert "3 similar" in line
 
 
@@ -269,13 +279,13 @@ def test_every_sentence_has_its_numbers() -> None:
             more = {each.arg for each in call.keywords if each.arg is None}
             codes, lacking = codes_in(call.args[0]), []
             for code in codes:
-                message = messages()[code]
+                message = message_table()[code]
                 texts = [message.text, message.remedy, *message.optional.values()]
                 fields = (f[1] for text in texts for f in Formatter().parse(text) if f[1])
                 needed = {name.partition("[")[0] for name in fields} | message.optional.keys()
                 lacking += [] if more or needed <= given else [(code, needed - given)]
                 causes = [*message.causes, *named(call)]
-                assert [cause for cause in causes if phrase(cause) == cause] == [], code
+                assert [cause for cause in causes if cause_phrase(cause) == cause] == [], code
             # of a code that is put together some sentences fit, those of other calls need not
             computed = isinstance(call.args[0], ast.JoinedStr)
             assert not lacking or (computed and len(lacking) < len(codes)), (path, lacking)
@@ -296,4 +306,4 @@ def codes_in(code: ast.expr) -> list[str]:
         return [str(code.value)]
     assert isinstance(code, ast.JoinedStr), ast.dump(code)
     start = code.values[0].value if isinstance(code.values[0], ast.Constant) else ""
-    return [known for known in messages() if known.startswith(str(start))]
+    return [known for known in message_table() if known.startswith(str(start))]

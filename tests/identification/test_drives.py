@@ -19,24 +19,27 @@ import testbed as tb
 from testbed.applications.drives.friction_curves import friction_curves
 from testbed.applications.drives.friction_files import bam_parameters, write_friction
 from testbed.applications.drives.identify_drives import (
-    DriveFindings,
+    DriveIdentification,
     combined,
     identify_drives,
-    with_drives,
+    with_identified_drives,
 )
-from testbed.applications.drives.joint_regression import regressions, torques_beside
+from testbed.applications.drives.joint_regression import (
+    fit_joint_regressions,
+    torque_regression_data,
+)
 from testbed.bodies.write_model import write_model
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError
-from testbed.core.estimation.estimate import METHODS
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.windows import drive_filter
+from testbed.core.estimation.regression.windows import joint_law_filter
 from testbed.core.estimation.selection.folds import Folds
+from testbed.core.parameters.rules import SIGNALS
 from testbed.core.recordings.metadata import Metadata
-from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.friction import SLOPE, VARYING, WARM_VISCOUS, joint_law
-from testbed.importing.check.time_offset import delivered
-from testbed.lab.simulation.replay import replay
+from testbed.core.robot.force_sensor import ForceSensor, tree_beyond_sensor
+from testbed.core.robot.friction import DRIFT_LAWS, OFFSET_DRIFT, WARM_VISCOUS, joint_law
+from testbed.importing.check.time_offset import with_drive_delay
+from testbed.lab.simulation.replay import replay_errors
 from tests.helpers.foreign_files import imported, npz, some_log
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
@@ -70,13 +73,13 @@ def reported(tree: tb.Tree, recording: tb.Recording) -> tb.Recording:
 
 def findings(
     tree: tb.Tree, recording: tb.Recording, how: tb.Settings, choose: bool = False
-) -> DriveFindings:
+) -> DriveIdentification:
     """Beside the plate's estimate from the same recording."""
     bodies = tb.identify(tree, recording, settings=how)
     return identify_drives(tree, recording, bodies, settings=how, choose=choose)
 
 
-def errors(tree: tb.Tree, found: DriveFindings) -> tuple[Array, Array]:
+def errors(tree: tb.Tree, found: DriveIdentification) -> tuple[Array, Array]:
     """Of constants, friction and rotors, joint by joint; and their sigmas, (n, 4)."""
     told, sigma = [], []
     for drive, joint, constant in zip(found.estimates, tree.joints, constants(tree), strict=True):
@@ -106,7 +109,7 @@ def test_constants_friction_and_rotors_are_found(name: str) -> None:
     assert np.abs((both.values - truth) / both.sigma).max() < 5
     scales = both.constants
     assert np.abs((scales.values - constants(tree)) / scales.sigma).max() < 4.5
-    assert both.disagreement.chance > 0.003
+    assert both.disagreement.p_value > 0.003
     assert both.disagreement.diagnostics == ()
 
 
@@ -115,7 +118,9 @@ def test_a_force_sensor_shows_the_drives_beyond_it(name: str) -> None:
     """Exactly of exact data: those of the joints before it have nothing to be held against."""
     tree = driven(name)
     recording, lead = reported(tree, ideal(tree)), tree.n // 2
-    cut = beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[lead - 1].body, name="s"))
+    cut = tree_beyond_sensor(
+        tree, links_of(tree), ForceSensor(tree.joints[lead - 1].body, name="s")
+    )
     own = [tree.index(name) for name in cut.names]
     signals = ("position", "velocity", "acceleration")
     columns = (recording.measured(signal)[:, own] for signal in signals)
@@ -129,7 +134,7 @@ def test_a_force_sensor_shows_the_drives_beyond_it(name: str) -> None:
         true = [constants(tree)[k], joint.coulomb, joint.viscous, joint.rotor_inertia]
         obtained = [each.constant, *(term.value for term in each.terms)]
         np.testing.assert_allclose(obtained, true, atol=1e-5)
-    tip = beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[-1].body, name="s"))
+    tip = tree_beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[-1].body, name="s"))
     with refuses(SettingsError):
         identify_drives(tree, both, tb.identify(tip, both, settings=EXACT), settings=EXACT)
 
@@ -145,8 +150,8 @@ def test_a_poorly_known_load_does_not_make_constants_small() -> None:
     noise = rng.normal(size=(plain.samples, 6)) * np.repeat([15.0, 3.0], 3)
     recording = plus(plain, wrench=noise)
     bodies = tb.identify(tree, recording)
-    torques = torques_beside(Problem.of(tree, recording, "internal"), bodies)
-    found = regressions(torques, bodies)
+    torques = torque_regression_data(Problem.from_recording(tree, recording, "torque"), bodies)
+    found = fit_joint_regressions(torques, bodies)
     both = combined(torques, bodies, found)
     assert min(each.reliability for each in found) < 0.97
     scales = both.constants
@@ -169,9 +174,9 @@ def test_a_rotor_that_is_not_among_the_terms_is_caught() -> None:
         findings(robot("puma"), recording, each).combined.disagreement
         for each in (tb.Settings(), SETTINGS)
     )
-    assert missing.chance < 1e-6
+    assert missing.p_value < 1e-6
     assert missing.diagnostics
-    assert cured.chance > 1e-3
+    assert cured.p_value > 1e-3
 
 
 @pytest.mark.slow
@@ -198,10 +203,10 @@ def test_friction_over_velocity_is_the_law_at_every_node() -> None:
     assert 0.5 < np.sqrt(np.mean(every**2)) < 1.6
     bodies = tb.identify(tree, measured(tree))
     for curve in friction_curves(
-        Problem.of(tree, measured(tree, 3, duration=2.0), "internal"), bodies
+        Problem.from_recording(tree, measured(tree, 3, duration=2.0), "torque"), bodies
     ):
         assert len(curve.speed) == 0
-        assert not curve.at(np.linspace(-1, 1, 5)).any()
+        assert not curve.torque_at_speed(np.linspace(-1, 1, 5)).any()
 
 
 @pytest.mark.slow
@@ -209,7 +214,7 @@ def test_what_tells_no_drives_is_refused() -> None:
     """Another method, no torques, too few rows."""
     tree = driven("puma")
     recording = measured(tree, duration=4.0)
-    bodies, others = (tb.identify(tree, recording, method) for method in METHODS)
+    bodies, others = (tb.identify(tree, recording, method) for method in SIGNALS)
     for kind, culprit, given, by in (
         (SettingsError, "plate", recording, others),
         (RecordingError, "torque", without(recording, "torque"), bodies),
@@ -225,8 +230,8 @@ def test_what_is_left_is_what_plain_fits_leave(reach: int) -> None:
     rng = np.random.default_rng(0)
     x = rng.normal(size=(600, 7)) * np.geomspace(0.1, 100, 7)
     y = x[:, [0, 2, 3]] @ np.array([10.0, 2.0, 0.1]) + rng.normal(size=600)
-    rows, folds = np.column_stack([x, y]), Folds.even(600, 6, reach)
-    spans = [dict(folds.cut(0, 600, beside)) for beside in (0, reach)]
+    rows, folds = np.column_stack([x, y]), Folds.equal_size(600, 6, reach)
+    spans = [dict(folds.overlaps(0, 600, beside)) for beside in (0, reach)]
     assert np.concatenate([np.arange(600)[own] for own in spans[0].values()]).tolist() == [
         *range(600)
     ]
@@ -234,7 +239,7 @@ def test_what_is_left_is_what_plain_fits_leave(reach: int) -> None:
         wanted = max(own.start - reach, 0), min(own.stop + reach, 600)
         assert (beside.start, beside.stop) == wanted
     blocks = (block[None] for block in np.split(rows, [70, 300, 301, 555]))
-    found = folds.products(blocks).weighted(np.ones(1))
+    found = folds.products(blocks).weighted_sums(np.ones(1))
     for some in ([0], [0, 2], [0, 2, 3, 5]):
         for k, part in spans[0].items():
             seen = np.delete(np.arange(600), spans[1][k])
@@ -242,7 +247,9 @@ def test_what_is_left_is_what_plain_fits_leave(reach: int) -> None:
             left = float(np.sum((y[part] - x[part][:, some] @ fit) ** 2))
             assert found.residual_squares(some)[k] == pytest.approx(left, rel=1e-9)
     one_more = np.column_stack([found.residual_squares([0, 2, k]) for k in (1, 3, 5)])
-    np.testing.assert_allclose(found.with_each([0, 2], [1, 3, 5]), one_more, rtol=1e-9)
+    np.testing.assert_allclose(
+        found.squares_with_candidates([0, 2], [1, 3, 5]), one_more, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("duration", [1.5, 3.0])
@@ -254,7 +261,7 @@ def test_terms_of_a_short_recording_are_those_of_every_joint(duration: float) ->
     kinds = [tuple(term.law.kind for term in each.terms) for each in found.estimates]
     assert kinds == [TERMS] * tree.n
     rows = np.arange(12.0).reshape(1, 6, 2)
-    none, some, *_ = Folds(np.array([0, 0, 4, 6])).products([rows]).unseen
+    none, some, *_ = Folds(np.array([0, 0, 4, 6])).products([rows]).test
     assert not none.any()
     np.testing.assert_array_equal(some[0], rows[0, :4].T @ rows[0, :4])
 
@@ -279,13 +286,13 @@ def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) 
     found = identify_drives(tree, seen, bodies)
     poor = tree.with_joints({n: {"coulomb": 1.0, "viscous": 1.0} for n in tree.names})
     written = tmp_path / "driven.xml"
-    write_model(model, with_drives(poor, found), written, gears=found.gears)
+    write_model(model, with_identified_drives(poor, found), written, gears=found.gears)
     write_model(model, poor, tmp_path / "poor.xml")
     compiled = mujoco.MjModel.from_xml_path(str(written))
     gears = [compiled.actuator(name).gear[0] for name in tree.names]
     np.testing.assert_allclose(gears, [1 / each.constant for each in found.estimates], rtol=1e-12)
     near, far = (
-        np.sqrt((replay(tb.ModelFile(path), unseen) ** 2).mean(axis=0))
+        np.sqrt((replay_errors(tb.ModelFile(path), unseen) ** 2).mean(axis=0))
         for path in (written, tmp_path / "poor.xml")
     )
     assert (near < 0.1 * far).all()
@@ -298,7 +305,7 @@ def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) 
         mujoco.mj_step(compiled, data)
     np.testing.assert_allclose(data.qpos, unseen.truth.position[1000], atol=0.05)
     with refuses(RecordingError, "0.2"):
-        replay(model, unseen.part(0, 100))
+        replay_errors(model, unseen.part(0, 100))
 
 
 @pytest.mark.slow
@@ -314,19 +321,21 @@ def test_commands_that_act_late_are_written_as_a_delay(tmp_path: Path) -> None:
 
     seen, unseen = map(commanded, two_motions())
     bodies = tb.identify(tree, seen, zeros=True)
-    acting, offset = delivered(tree, seen, bodies)
+    acting, offset = with_drive_delay(tree, seen, bodies)
     assert abs(offset.delay + late) < 3 * offset.sigma < 1.5e-3
     found = identify_drives(tree, acting, bodies, settings=tb.Settings(zeros=True))
     errors = []
     for delay in (-offset.delay, 0.0):
         path = tmp_path / f"{delay}.xml"
-        write_model(true, with_drives(tree, found), path, gears=found.gears, delay=delay)
+        write_model(true, with_identified_drives(tree, found), path, gears=found.gears, delay=delay)
         compiled = mujoco.MjModel.from_xml_path(str(path))
         np.testing.assert_array_equal(compiled.actuator_delay, delay)
-        errors.append(np.sqrt((replay(tb.ModelFile(path), unseen) ** 2).mean()))
+        errors.append(np.sqrt((replay_errors(tb.ModelFile(path), unseen) ** 2).mean()))
     assert errors[0] < 0.5 * errors[1]
     with refuses(RecordingError, "commands"):
-        delivered(tree, replace(seen, torque=np.roll(seen.measured("torque"), 30, axis=0)), bodies)
+        with_drive_delay(
+            tree, replace(seen, torque=np.roll(seen.measured("torque"), 30, axis=0)), bodies
+        )
     urdf = tb.ModelFile(MODELS["ur5"])
     said = write_model(urdf, urdf.tree(), tmp_path / "late.urdf", delay=late)
     assert [each.code for each in said] == ["model.delay"]
@@ -360,7 +369,7 @@ def test_torques_do_not_tell_what_a_plates_unknown_zero_hides(name: str) -> None
     assert hidden
     assert hidden == {*plate.unidentifiable}
     assert np.abs((both.values - truth)[known] / both.sigma[known]).max() < 4
-    assert both.disagreement.chance > 1e-4
+    assert both.disagreement.p_value > 1e-4
 
 
 def warming(whole: tb.Recording, slope: float, warm: float) -> tb.Recording:
@@ -376,11 +385,13 @@ def warming(whole: tb.Recording, slope: float, warm: float) -> tb.Recording:
 def test_drift_and_temperature_are_terms_like_the_others(puma: tb.Tree, tmp_path: Path) -> None:
     """From memory, a file and parts; of another recording, whose drift is its own, friction is."""
     recording = warming(ideal(puma), 0.03, -0.05)
-    asked = replace(EXACT, terms=("coulomb", "viscous", "offset", SLOPE.kind, WARM_VISCOUS.kind))
+    asked = replace(
+        EXACT, terms=("coulomb", "viscous", "offset", OFFSET_DRIFT.kind, WARM_VISCOUS.kind)
+    )
     recording.save(tmp_path / "warm.parquet")
     parts = [recording.part(0, 700), recording.part(700, recording.samples)]
     for source in (recording, tmp_path / "warm.parquet", parts):
-        found = tb.identify(puma, source, "internal", settings=asked)
+        found = tb.identify(puma, source, "torque", settings=asked)
         values = dict(zip(found.names, found.values.tolist(), strict=True))
         for name in puma.names:
             assert values[f"slope/{name}"] == pytest.approx(0.03, abs=1e-8)
@@ -388,7 +399,7 @@ def test_drift_and_temperature_are_terms_like_the_others(puma: tb.Tree, tmp_path
     other = warming(ideal(puma, seed=1), 0.0, -0.05)
     assert (tb.validate(found, other).residual < 1e-7).all()
     with refuses(RecordingError, "temperature"):
-        tb.identify(puma, ideal(puma), "internal", settings=asked)
+        tb.identify(puma, ideal(puma), "torque", settings=asked)
 
 
 @pytest.mark.parametrize(
@@ -398,7 +409,7 @@ def test_drift_and_temperature_are_chosen_where_they_explain_data(
     size: float, expected: set[str], puma: tb.Tree
 ) -> None:
     """By data that no fit has seen; of steady drives neither is."""
-    kinds = {law.kind for law in VARYING}
+    kinds = {law.kind for law in DRIFT_LAWS}
     for seed in range(2):
         whole = measured(puma, seed, duration=40.0)
         speed = np.gradient(whole.position, whole.time, axis=0)
@@ -406,7 +417,7 @@ def test_drift_and_temperature_are_chosen_where_they_explain_data(
         own = 0.05 * (whole.time - 20.0) - 0.05 * (temperature - 25.0) * speed[:, 2]
         recording = plus(whole, torque=size * own[:, None] * [0.0, 0.0, 1.0])
         recording = replace(recording, temperature=np.tile(temperature[:, None], 3))
-        found = tb.identify(puma, recording, "internal", settings=tb.Settings(terms="auto"))
+        found = tb.identify(puma, recording, "torque", settings=tb.Settings(terms="auto"))
         assert found.drives is not None
         chosen = [term for term in found.drives.asked if term.law.kind in kinds]
         assert {term.name(puma) for term in chosen} == expected
@@ -439,11 +450,11 @@ def test_rotors_are_the_cause_of_torques_that_lead_no_longer_beside_them() -> No
     tree = robot("ur5")
     joints = tuple(replace(j, rotor_inertia=0.3, coulomb=8.0, viscous=8.0) for j in tree.joints)
     geared = measured(replace(tree, joints=joints), duration=60.0)
-    assert [each.family for each in tb.identify(tree, geared, "internal").model_errors] == ["rotor"]
+    assert [each.family for each in tb.identify(tree, geared, "torque").model_errors] == ["rotor"]
     motors = replace(geared, metadata=Metadata(effort=dict.fromkeys(tree.names, "current")))
-    right = tb.identify(tree, motors, "internal")
+    right = tb.identify(tree, motors, "torque")
     assert "rotor/j6" in right.names
-    assert not right.doubtful
+    assert not right.has_errors
 
 
 # friction over velocity and load
@@ -490,7 +501,7 @@ def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
 
 def test_no_row_of_drives_holds_a_reversal() -> None:
     """Hann's window ends half a period of the cutoff from its middle, where its gain is a half."""
-    weights, nearby = drive_filter(tb.Settings(cutoff=5.0), 1000.0)
+    weights, nearby = joint_law_filter(tb.Settings(cutoff=5.0), 1000.0)
     at = np.arange(len(weights)) - len(weights) // 2
     assert np.abs(at).max() == nearby < 100
     np.testing.assert_allclose(weights, weights[::-1])
@@ -509,11 +520,11 @@ def bam_torque(values: dict[str, Any], load: float, speed: float) -> float:
     for _ in range(100):
         motor, external = load + friction, -load
         dry = values["friction_base"] + fade * values.get("friction_stribeck", 0.0)
-        sides = {"external": external, "motor": motor} if values["model"] in ("m5", "m6") else {}
+        sides = {"wrench": external, "motor": motor} if values["model"] in ("m5", "m6") else {}
         of_load = [values[f"load_friction_{side}"] * torque for side, torque in sides.items()]
         dry += abs(of_load[0] - of_load[1]) if of_load else 0.0
         if values["model"] == "m6" and motor * external < 0:
-            side = "external" if abs(motor) > abs(external) else "motor"
+            side = "wrench" if abs(motor) > abs(external) else "motor"
             dry += fade * values[f"load_friction_{side}_quad"] * sides[side] ** 2
         friction = way * dry + values["friction_viscous"] * speed
     return float(values["constant"] * (load + friction))

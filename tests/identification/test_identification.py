@@ -14,25 +14,30 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import friction, motion_in, own_torque, predictions
+from testbed.applications.prediction import (
+    joint_term_torque,
+    longest_segment_motion,
+    predicted_signals,
+    steady_joint_torque,
+)
 from testbed.core.base.errors import (
     ModelError,
     RecordingError,
     SettingsError,
+    UnidentifiableParameters,
     UnknownName,
-    UnseenParameters,
 )
-from testbed.core.base.frames import frame_of
+from testbed.core.base.frames import data_frame
 from testbed.core.base.summary_table import number_with_sigma
-from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.core.estimation.selection.term_choice import choose_terms
+from testbed.core.parameters.rules import SIGNALS, Signal
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.views import with_base_joints
-from testbed.core.robot.free_base import coordinates
-from testbed.core.robot.free_root import on_free_base
-from testbed.core.robot.friction import LAWS, OFFSET, ROTOR
+from testbed.core.robot.free_base import base_coordinates
+from testbed.core.robot.free_root import with_free_base
+from testbed.core.robot.friction import JOINT_LAWS, OFFSET, ROTOR
 from testbed.core.robot.joint_law import JointLaw
 from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
@@ -60,7 +65,7 @@ def with_drives(tree: tb.Tree, rng: Rng, kinds: Iterable[str] = NAMED) -> tb.Tre
 
 def rank(tree: tb.Tree, motion: tb.Motion, laws: Iterable[JointLaw]) -> int:
     """Of the torque regressor with all terms' columns: what can be told at all."""
-    parts = [tb.regressor(tree, motion, tb.minimal_set(tree, "dynamic"))]
+    parts = [tb.regressor(tree, motion, tb.minimal_set(tree, "torque"))]
     for law in laws:
         columns = np.broadcast_to(law.column(motion.qd, motion.qdd), motion.qd.shape)
         parts.append(columns[:, :, None] * np.eye(tree.n))
@@ -71,24 +76,24 @@ def rank(tree: tb.Tree, motion: tb.Motion, laws: Iterable[JointLaw]) -> int:
 
 @few(25)
 @given(
-    rngs, st.integers(1, 6), st.sets(st.sampled_from([*LAWS, CUBIC]), max_size=4),
+    rngs, st.integers(1, 6), st.sets(st.sampled_from([*JOINT_LAWS, CUBIC]), max_size=4),
     st.sampled_from(["compiled", "numpy"]),
 )  # fmt: skip
 def test_without_noise_the_model_file_comes_back(
     rng: Rng, joints: int, some: set[JointLaw], engine: Any
 ) -> None:
     """Of any tree by both methods, with any terms, as many as a rank says; and what happened."""
-    laws = [law for law in (*LAWS, CUBIC) if law in some]
+    laws = [law for law in (*JOINT_LAWS, CUBIC) if law in some]
     tree = random_robot(rng, joints).tree()
     tree = with_drives(tree, rng, [law.kind for law in laws if law.kind in NAMED])
     own = {law: np.linspace(0.5, 2, joints) for law in laws if law.kind not in NAMED}
     recording = ideal(tree, own=own)
     plate = tb.identify(tree, recording, settings=EXACT)
-    assert np.abs(plate.values - true_values(tree, "external")).max() <= 1e-10
+    assert np.abs(plate.values - true_values(tree, "wrench")).max() <= 1e-10
     asked = replace(EXACT, terms=tuple(laws), deadband=0.0, engine=engine)
     found, (motion, _) = (
-        tb.identify(tree, recording, "internal", settings=asked),
-        motion_in(recording),
+        tb.identify(tree, recording, "torque", settings=asked),
+        longest_segment_motion(recording),
     )
     assert len(set(found.names)) == len(found.names) == rank(tree, motion, laws)
     assert found.drives is not None
@@ -102,18 +107,18 @@ def test_without_noise_the_model_file_comes_back(
         assert (told.kind, told.unit, told.value) == (term.law.kind, unit, found.values[k])
     assert np.abs(found.values - truth).max() <= 1e-8 * np.abs(truth).max()
     felt, driven = recording.measured("wrench"), recording.measured("torque")
-    both: dict[Method, tb.Estimate] = {"internal": found, "external": plate}
-    wrench, torque = predictions(tree, recording, motion, both)
-    foretold = [(wrench["external"], felt), (torque["internal"], driven)]
+    both: dict[Signal, tb.Estimate] = {"torque": found, "wrench": plate}
+    wrench, torque = predicted_signals(tree, recording, motion, both)
+    foretold = [(wrench["wrench"], felt), (torque["torque"], driven)]
     if ROTOR not in laws:  # which may be one with a body's inertia
-        foretold += [(wrench["internal"], felt)]
-        foretold += [(torque["external"] + own_torque(motion, found), driven)]
+        foretold += [(wrench["torque"], felt)]
+        foretold += [(torque["wrench"] + joint_term_torque(motion, found), driven)]
     for predicted, wanted in foretold:
         assert np.abs(predicted - wanted).max() <= 1e-8 * np.abs(wanted).max()
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_estimator_cannot_see_the_truth(method: Method, puma: tb.Tree) -> None:
+@pytest.mark.parametrize("method", SIGNALS)
+def test_the_estimator_cannot_see_the_truth(method: Signal, puma: tb.Tree) -> None:
     """Other masses, other friction, a falsified truth: the estimate is the same to the bit."""
     noise, tare = measured(puma, duration=10.0), tb.pedestal_wrench(puma)
     assert tare.any()
@@ -138,11 +143,11 @@ def test_parameters_that_a_motion_does_not_show_are_named(puma: tb.Tree) -> None
     """A joint rests; or noise is large, which is a warning that names them."""
     clean = ideal(puma)
     frozen = np.array([1.0, 1.0, 0.0])
-    states, _ = motion_in(clean)
+    states, _ = longest_segment_motion(clean)
     still = tb.Motion(states.t, states.q * frozen, states.qd * frozen, states.qdd * frozen)
     rates = {"position": still.q, "velocity": still.qd, "acceleration": still.qdd}
     resting = replace(clean, **rates, wrench=tb.base_wrench(puma, still))  # type: ignore[arg-type]
-    with pytest.raises(UnseenParameters) as caught:
+    with pytest.raises(UnidentifiableParameters) as caught:
         tb.identify(puma, resting, settings=replace(EXACT, zeros=True))
     assert "K3yy" in caught.value.names
     assert "mbar1" not in caught.value.names
@@ -179,7 +184,7 @@ def test_the_gravity_of_the_recording_counts(puma: tb.Tree) -> None:
     moon = (0.3, -0.2, -1.62)
     there = ideal(puma.with_gravity(moon))
     said, lies = (replace(there, metadata=Metadata(gravity=g)) for g in (moon, (0.0, 0.0, -9.81)))
-    truth = true_values(puma.with_gravity(moon), "external")
+    truth = true_values(puma.with_gravity(moon), "wrench")
     for recording, gravity in ((said, None), (there, moon), (lies, moon)):
         found = tb.identify(puma, recording, gravity=gravity, settings=EXACT)
         np.testing.assert_allclose(found.values, truth, atol=1e-9)
@@ -189,7 +194,7 @@ def test_a_term_of_the_model_file_that_the_settings_leave_out_is_said_once(puma:
     """In one line for all joints: the internal estimate takes it for the bodies'."""
     geared, recording = with_drives(puma, np.random.default_rng(0)), measured(puma)
     for terms, count in ((("coulomb", "viscous"), 1), (("coulomb", "viscous", "rotor"), 0)):
-        found = tb.identify(geared, recording, "internal", settings=tb.Settings(terms=terms))
+        found = tb.identify(geared, recording, "torque", settings=tb.Settings(terms=terms))
         assert [d.code for d in found.diagnostics].count("drives.term") == count
 
 
@@ -204,8 +209,8 @@ def test_one_joint_that_hardly_moves_refuses_nothing(way: int, kind: str, puma: 
     kept: dict[str, Any] = {signal: whole.measured(signal)[rows] for signal in signals}
     part = replace(whole, time=whole.time[: rows.sum()], truth=None, wrench=None, **kept)
     asked = replace(EXACT, terms=("coulomb", "viscous", "offset"))
-    found = tb.identify(tree, part, "internal", settings=asked)
-    bodies = tb.minimal_set(puma, "dynamic").values(tb.barycentric(puma))
+    found = tb.identify(tree, part, "torque", settings=asked)
+    bodies = tb.minimal_set(puma, "torque").values(tb.barycentric(puma))
     np.testing.assert_allclose(found.values[: len(bodies)], bodies, atol=1e-8)
     own = {name.split("/")[0] for name in found.names if name.endswith("/elbow")}
     assert own == ({kind, "viscous"} if way else set())
@@ -235,16 +240,16 @@ def test_filters_pass_what_is_slow_stop_what_is_fast_and_have_no_phase() -> None
     assert np.abs(gains[3:]).max() < 2e-3
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_fit_of_some_channels_is_the_fit_of_their_rows(method: Method) -> None:
+@pytest.mark.parametrize("method", SIGNALS)
+def test_a_fit_of_some_channels_is_the_fit_of_their_rows(method: Signal) -> None:
     """By weight, and by leaving the rows of the others out of a dense problem."""
     tree = random_robot(np.random.default_rng(4), 3).tree()
     recording = noisy(ideal(tree))
     settings = replace(EXACT, terms=(), deadband=0.0)
     estimate = tb.identify(tree, recording, method, settings=settings)
     left = {name: 1.0 + k for k, name in enumerate(estimate.channels) if k != 1}
-    phi = tb.regressor(tree, motion_in(recording)[0], estimate.minimal)
-    y = recording.measured(SIGNAL_OF[method])
+    phi = tb.regressor(tree, longest_segment_motion(recording)[0], estimate.minimal)
+    y = recording.measured(method)
     keep = [k for k, name in enumerate(estimate.channels) if name in left]
     root = np.sqrt([left[estimate.channels[k]] for k in keep])
     a = (phi[:, keep] * root[:, None]).reshape(-1, estimate.minimal.count)
@@ -274,10 +279,10 @@ def test_as_accurate_as_lstsq_up_to_a_condition_of_a_million(exponent: int) -> N
     """Two joints and one that moves less and less; without noise, against lstsq of all rows."""
     tree = random_robot(np.random.default_rng(12), 3).tree()
     clean, small = ideal(tree, duration=20.0), np.array([1.0, 1.0, 10.0**-exponent])
-    full, _ = motion_in(clean)
+    full, _ = longest_segment_motion(clean)
     offset = np.array([0.0, 0.0, 0.3])
     motion = tb.Motion(full.t, full.q * small + offset, full.qd * small, full.qdd * small)
-    minimal = tb.minimal_set(tree, "reaction")
+    minimal = tb.minimal_set(tree, "wrench")
     phi = tb.regressor(tree, motion, minimal).reshape(-1, minimal.count)
     wrench = (phi @ minimal.values(tb.barycentric(tree))).reshape(-1, 6)
     rates: dict[str, Any] = {"velocity": motion.qd, "acceleration": motion.qdd}
@@ -300,7 +305,7 @@ def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(geared: int, pum
     tree = puma.with_joints({name: {"rotor_inertia": 0.3} for name in puma.names[:geared]})
     for metadata in (Metadata(), Metadata(mapping={})):
         recording = replace(ideal(tree), truth=None, metadata=metadata)
-        found = tb.identify(tree, recording, "internal", settings=EXACT)
+        found = tb.identify(tree, recording, "torque", settings=EXACT)
         assert found.drives is not None
         rotors = [t.joint for t in found.drives.asked if t.law.kind == "rotor"]
         assert rotors == [*range(geared)]
@@ -308,7 +313,9 @@ def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(geared: int, pum
         np.testing.assert_allclose(found.values, truth, atol=1e-6)
         exact = ideal(tree).truth
         assert exact is not None
-        np.testing.assert_allclose(friction(exact.velocity, found), exact.friction, atol=1e-6)
+        np.testing.assert_allclose(
+            steady_joint_torque(exact.velocity, found), exact.friction, atol=1e-6
+        )
         (said,) = (each.subject for each in found.diagnostics if each.code == "drives.rotor")
         assert said.split(", ") == [name for name in found.names if "+rotor/" in name]
 
@@ -368,7 +375,7 @@ def test_filters_fit_the_sampling_rate_unless_they_are_said() -> None:
 def test_known_zeros_are_left_out_and_an_argument_overrides_the_setting(puma: tb.Tree) -> None:
     """Three bodies on a line: some of their parameters are zero in the model file."""
     recording, with_zeros = ideal(puma), replace(EXACT, zeros=True)
-    truth = true_values(puma, "external", zeros=True)
+    truth = true_values(puma, "wrench", zeros=True)
     for settings, zeros, count in (
         (EXACT, None, 20),
         (with_zeros, None, len(truth)),
@@ -394,7 +401,11 @@ def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> No
         (SettingsError, "zeros", lambda: tb.identify(light, recording, settings=zeros)),
         (UnknownName, "plate", lambda: tb.identify(tree, recording, "plate")),  # type: ignore[arg-type]
         (UnknownName, "static", lambda: tb.minimal_set(tree, "static")),  # type: ignore[arg-type]
-        (RecordingError, "rows", lambda: choose_terms(Problem.of(tree, short, "internal"))),
+        (
+            RecordingError,
+            "rows",
+            lambda: choose_terms(Problem.from_recording(tree, short, "torque")),
+        ),
     )
     for kind, culprit, asked in cases:
         with refuses(kind, culprit):
@@ -404,7 +415,7 @@ def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> No
 def test_every_form_holds_every_parameter() -> None:
     """Warnings too, and safely; data frames by whichever package is there."""
     found = replace(
-        result("gantry").estimates["internal"],
+        result("gantry").estimates["torque"],
         diagnostics=(tb.Diagnostic("note", "<b>mind</b> this"),),
     )
     lines = str(found).splitlines()
@@ -419,7 +430,7 @@ def test_every_form_holds_every_parameter() -> None:
     assert "&lt;b&gt;mind" in page
     np.testing.assert_array_equal(np.asarray(found.to_frame()["sigma"]), found.sigma)
     with refuses(tb.TestbedError, "sparrow"):
-        frame_of({"sigma": found.sigma}, "sparrow")
+        data_frame({"sigma": found.sigma}, "sparrow")
 
 
 def test_a_number_has_the_digits_that_its_sigma_has_to_say() -> None:
@@ -454,9 +465,9 @@ def rank_by_pinocchio(model: pin.Model, states: int) -> int:
 def test_the_minimal_set_is_as_large_as_pinocchios_rank(robot: Robot) -> None:
     """Under gravity and without it: else normal equations are singular, or something is lost."""
     model = pin.buildModelFromXML(robot.urdf(), pin.JointModelFreeFlyer())
-    free = on_free_base(robot.tree())
+    free = with_free_base(robot.tree())
     model.gravity.linear = free.gravity
-    found = tb.minimal_set(free, "reaction")
+    found = tb.minimal_set(free, "wrench")
     sliding = sum(not joint.revolute for joint in robot.tree().joints)
     assert found.count == rank_by_pinocchio(model, 10 + 2 * free.n)
     assert found.count == 10 + 7 * robot.tree().n - 3 * sliding
@@ -465,24 +476,24 @@ def test_the_minimal_set_is_as_large_as_pinocchios_rank(robot: Robot) -> None:
 def test_the_grounds_wrench_is_pinocchios() -> None:
     """Of a humanoid, and 213 parameters; else a robot on a moving base is estimated as another."""
     tree, recording = humanoid(3.0, 100.0, 1, 0.0)
-    free = on_free_base(tree)
+    free = with_free_base(tree)
     path = squatting(tree, 1).at(recording.time)
     np.testing.assert_allclose(tb.base_wrench(free, path), recording.measured("wrench"), atol=2e-5)
     np.testing.assert_allclose(with_base_joints(recording).position, path.q, atol=1e-12)
     model = pin.buildModelFromUrdf(str(G1), pin.JointModelFreeFlyer())
-    assert tb.minimal_set(free, "reaction").count == rank_by_pinocchio(model, 60) == 213
+    assert tb.minimal_set(free, "wrench").count == rank_by_pinocchio(model, 60) == 213
 
 
 def test_what_is_no_pose_is_refused() -> None:
     """Quaternions that are none, a pitch that Euler angles do not have, no base, two bases."""
     tree, recording = humanoid(0.5, 100.0, 5, 0.0)
-    free, base = on_free_base(tree), recording.measured("base").copy()
+    free, base = with_free_base(tree), recording.measured("base").copy()
     with refuses(RecordingError, "w, x, y, z"):
-        coordinates(base * 2)
+        base_coordinates(base * 2)
     base[:, 3:] = [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]
     with refuses(RecordingError, "80"):
-        coordinates(base)
+        base_coordinates(base)
     with refuses(RecordingError, "base"):
         tb.identify(free, replace(recording, base=None))
     with refuses(ModelError, "base.x"):
-        on_free_base(free)
+        with_free_base(free)

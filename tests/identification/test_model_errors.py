@@ -15,7 +15,7 @@ from testbed.core.estimation.estimate import Estimate
 from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.joined import joined
 from testbed.core.robot.drive_torque import drive_torque
-from testbed.core.robot.rotations import from_vector
+from testbed.core.robot.rotations import rotvec_to_matrix
 from tests.helpers.measured import random_fourier
 from tests.helpers.runs import robot
 
@@ -31,7 +31,7 @@ def rigid(tree: tb.Tree, motion: tb.Motion) -> tuple[tb.Motion, Array, Array]:
 
 def tilted(tree: tb.Tree, motion: tb.Motion) -> tuple[tb.Motion, Array, Array]:
     """On a base that leans by a degree."""
-    return rigid(tree.with_gravity(from_vector([0.014, 0.01, 0.0]) @ tree.gravity), motion)
+    return rigid(tree.with_gravity(rotvec_to_matrix([0.014, 0.01, 0.0]) @ tree.gravity), motion)
 
 
 def off_zero(tree: tb.Tree, motion: tb.Motion) -> tuple[tb.Motion, Array, Array]:
@@ -54,7 +54,7 @@ def elsewhere(tree: tb.Tree, motion: tb.Motion) -> tuple[tb.Motion, Array, Array
         replace(
             joint,
             offset=joint.offset + 2e-3 * rng.normal(size=3),
-            rotation=joint.rotation @ from_vector(np.deg2rad(1.0) * rng.normal(size=3)),
+            rotation=joint.rotation @ rotvec_to_matrix(np.deg2rad(1.0) * rng.normal(size=3)),
         )
         for joint in tree.joints
     ]
@@ -160,8 +160,8 @@ def test_a_band_of_95_percent_holds_on_another_motion(model: Model) -> None:
     other = recorded(tree, model, 4)
     found = tb.predict(other, estimate).smoothed(5.0)
     torques = [each for each in found.channels if each.kind == "torque"]
-    left = np.stack([each.residuals["internal"] for each in torques], axis=1)
-    within = np.abs(left) <= found.band["internal"]
+    left = np.stack([each.residuals["torque"] for each in torques], axis=1)
+    within = np.abs(left) <= found.band["torque"]
     assert within.mean() > 0.93
     rows = validate(tree, other, estimate).within
     np.testing.assert_allclose(within.mean(axis=0), rows, atol=0.05)

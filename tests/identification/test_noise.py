@@ -14,29 +14,30 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import motion_in
+from testbed.applications.prediction import longest_segment_motion
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import encode, json_text
+from testbed.core.base.codec import json_text, to_json_values
 from testbed.core.base.errors import SettingsError, TestbedError
-from testbed.core.estimation.estimate import METHODS, Estimate, Method
-from testbed.core.estimation.influence import by_influence, influence
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.estimation.influence import influence, names_by_influence
 from testbed.core.estimation.known import parse_known
-from testbed.core.estimation.noise.coloured_noise import averaged, averaged_fit
+from testbed.core.estimation.noise.coloured_noise import averaged_fit, mixture_fit
 from testbed.core.estimation.noise.fits import NoiseFit, weighted_fits, whitened_fits
 from testbed.core.estimation.noise.lagged_products import (
     Autoregression,
     LaggedProducts,
     LaggedSums,
-    NoiseMaker,
-    Whitened,
+    NoiseGenerator,
+    WhitenedProducts,
     best_order,
-    fit,
+    fit_autoregression,
 )
 from testbed.core.estimation.noise.noise_model import (
     period_of,
 )
-from testbed.core.recordings.metadata import three
-from testbed.core.robot.rotations import from_vector
+from testbed.core.parameters.rules import SIGNALS, Signal
+from testbed.core.recordings.metadata import vector_tuple
+from testbed.core.robot.rotations import rotvec_to_matrix
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import mass_of
@@ -55,10 +56,10 @@ def products(*sequences: Array, cut: int = 10**9) -> LaggedProducts:
     """Of rows, (C, M, p) each, that were not recorded in one."""
     sums = LaggedSums(LAGS)
     for rows in sequences:
-        sums.pause()
+        sums.end_sequence()
         for first in range(0, rows.shape[1], cut):
             sums.add(rows[:, first : first + cut])
-    return sums.finish()
+    return sums.lagged_products()
 
 
 def problem(seed: int, noise: Autoregression, rows: int = 400) -> Array:
@@ -66,7 +67,7 @@ def problem(seed: int, noise: Autoregression, rows: int = 400) -> Array:
     rng, t = np.random.default_rng(seed), np.arange(rows) / 10
     waves, phases = rng.uniform(0.1, 2.0, (4, 3)), rng.uniform(0, 6, (4, 1, 3))
     columns = np.sin(waves[:, None] * t[:, None] + phases)
-    made = NoiseMaker(noise, 1, rng).rows(rows)
+    made = NoiseGenerator(noise, 1, rng).rows(rows)
     return np.concatenate([columns, columns @ TRUTH[:, None] + made, np.ones_like(made)], axis=2)
 
 
@@ -79,7 +80,7 @@ def whitened(rows: Array, a: Array) -> Array:
 
 def by_channel(found: LaggedProducts, a: Array) -> Array:
     """Products of whitened rows, (C, p, p): a whitening for each channel, that counts it alone."""
-    return Whitened(found, np.repeat(a[None], len(a), axis=0)).sums(np.eye(len(a)))
+    return WhitenedProducts(found, np.repeat(a[None], len(a), axis=0)).sums(np.eye(len(a)))
 
 
 def moments(rows: Array) -> Array:
@@ -94,13 +95,13 @@ def test_what_is_made_is_found_again() -> None:
     noise = Autoregression(
         np.array([-np.real(np.poly(each))[1:] for each in roots]), np.array([0.2, 5.0])
     )
-    rows = NoiseMaker(noise, 1, np.random.default_rng(0)).rows(100_000)[..., 0]
+    rows = NoiseGenerator(noise, 1, np.random.default_rng(0)).rows(100_000)[..., 0]
     assert best_order(moments(rows), rows.shape[1] - LAGS) in (3, 4, 5)
-    np.testing.assert_allclose(fit(moments(rows), 3), noise.coefficients, atol=0.03)
+    np.testing.assert_allclose(fit_autoregression(moments(rows), 3), noise.coefficients, atol=0.03)
     left = whitened(rows[..., None], noise.coefficients)[..., 0]
     np.testing.assert_allclose(left.std(axis=1), noise.sigma, rtol=0.02)
-    np.testing.assert_allclose(noise.memory, -1 / np.log([0.9, 0.7]))
-    pieces = NoiseMaker(noise, 1, np.random.default_rng(0))
+    np.testing.assert_allclose(noise.decay_rows, -1 / np.log([0.9, 0.7]))
+    pieces = NoiseGenerator(noise, 1, np.random.default_rng(0))
     cut = np.concatenate([pieces.rows(20), pieces.rows(30)], axis=1)[..., 0]
     np.testing.assert_array_equal(cut, rows[:, :50])
 
@@ -112,14 +113,14 @@ def test_products_are_those_of_the_rows(rng: Rng, counts: list[int], cut: int) -
     found, maps = products(*each, cut=cut), rng.normal(size=(3, 5, 2))
     for order in range(LAGS + 1):
         long = [rows for rows in each if rows.shape[1] > order]
-        assert found.after(order) == sum(rows.shape[1] - order for rows in long)
+        assert found.rows_with_history(order) == sum(rows.shape[1] - order for rows in long)
         a = rng.uniform(-0.5, 0.5, (3, order))
         parts = (whitened(rows, a) for rows in long)
         white = sum((part.swapaxes(1, 2) @ part for part in parts), np.zeros((3, 5, 5)))
         np.testing.assert_allclose(by_channel(found, a), white, atol=1e-10)
     combined = products(*(rows @ maps for rows in each))
     np.testing.assert_allclose(
-        by_channel(found.combined(maps), a), by_channel(combined, a), atol=1e-10
+        by_channel(found.combine_columns(maps), a), by_channel(combined, a), atol=1e-10
     )
 
 
@@ -153,17 +154,19 @@ def test_an_offset_counts_as_far_as_the_data_show_it() -> None:
         NoiseFit(mean[:k], spread[:k, :k], WHITE, WHITE, spread[:k, :k])
         for k, mean, spread in zip((2, 3), means, spreads, strict=True)
     )
-    found, gap = averaged(alone, beside, 0.3), means[1] - means[0]
+    found, gap = mixture_fit(alone, beside, 0.3), means[1] - means[0]
     np.testing.assert_allclose(found.values, means[0] + 0.3 * gap)
     mixture = 0.7 * spreads[0] + 0.3 * spreads[1] + 0.21 * np.outer(gap, gap)
     np.testing.assert_allclose(found.covariance, mixture, atol=1e-12)
     shifted = problem(0, WHITE)
     shifted[..., 3] += 5.0
-    clear, few = (averaged_fit(products(x), None, whole=True) for x in (shifted, shifted[:, :40]))
+    clear, few = (averaged_fit(products(x), None, gapless=True) for x in (shifted, shifted[:, :40]))
     assert clear.weight > 0.99
     np.testing.assert_allclose(clear.directions @ clear.fit.values[3:], 5.0, atol=1.0)
     assert (few.directions.shape, few.weight) == ((4, 0), 0.0)
-    weights = [averaged_fit(products(problem(s, WHITE)), None, whole=True).weight for s in range(9)]
+    weights = [
+        averaged_fit(products(problem(s, WHITE)), None, gapless=True).weight for s in range(9)
+    ]
     assert np.median(weights) < 0.5
 
 
@@ -173,7 +176,7 @@ SIX_COLOURED = Autoregression(np.tile([0.6, 0.2], (6, 1)), np.ones(6))
 
 def made(noise: Autoregression, rows: int, seed: int) -> Array:
     """Noise, (C, rows)."""
-    return NoiseMaker(noise, 1, np.random.default_rng(seed)).rows(rows)[..., 0]
+    return NoiseGenerator(noise, 1, np.random.default_rng(seed)).rows(rows)[..., 0]
 
 
 @given(rngs, st.integers(200, 2000), st.integers(1, 8))
@@ -203,7 +206,7 @@ def test_sigma_counts_what_coarse_encoders_do() -> None:
     assert np.sqrt(np.mean(((coarse.values - truth) / coarse.sigma) ** 2)) < 1.5
     for found, seen in ((coarse, True), (fine, False)):
         assert found.noise is not None
-        assert found.noise.steps_matter == seen
+        assert found.noise.quantization_matters == seen
         np.testing.assert_allclose(found.noise.least_counts, [count] * 3 * seen, rtol=1e-6)
         said = [d.text for d in found.diagnostics if d.code == "encoder.resolution"]
         assert [len([n for n in tree.names if n in text]) for text in said] == [tree.n] * seen
@@ -222,11 +225,11 @@ def scores(tree: tb.Tree, estimate: Estimate) -> Array:
 @pytest.mark.slow
 @few(8)
 @given(
-    st.sampled_from(["puma", "gantry"]), settings, st.sampled_from(METHODS),
+    st.sampled_from(["puma", "gantry"]), settings, st.sampled_from(SIGNALS),
     st.sampled_from([0.0, 0.98]),
 )  # fmt: skip
 def test_errors_are_as_sigma_says(
-    name: str, how: tb.Settings, method: Method, memory: float
+    name: str, how: tb.Settings, method: Signal, memory: float
 ) -> None:
     """Under white and slow noise, however signals are treated."""
     tree = robot(name)
@@ -245,7 +248,7 @@ def test_sigma_holds_where_noise_of_accelerations_passes_the_filter() -> None:
     """It draws plain least squares to zero, by up to 20 sigma here; drowned ones are named."""
     tree = robot("puma")
     how = tb.Settings(cutoff=20.0)
-    found = tb.identify(tree, measured(tree, 1, duration=60.0), "internal", settings=how)
+    found = tb.identify(tree, measured(tree, 1, duration=60.0), "torque", settings=how)
     assert 0.4 < float(np.sqrt(np.mean(scores(tree, found) ** 2))) < 1.7
     tree, rng = robot("gantry"), np.random.default_rng(0)
     fine = measured(tree, 0, duration=40.0, speed=0.25, memory=0.98, noise=0.1)
@@ -269,7 +272,7 @@ def test_what_a_plates_zero_hides_has_no_sigma() -> None:
     told = noise.bias_sigma > 0
     assert told.sum() >= 5
     np.testing.assert_array_less(np.abs(noise.bias - zero)[told], 5 * noise.bias_sigma[told])
-    content = json.loads(json_text(encode(found)))
+    content = json.loads(json_text(to_json_values(found)))
     assert content["unidentifiable"] == ["mbar1"]
     assert [k for k, s in enumerate(content["sigma"]) if s is None] == [found.names.index("mbar1")]
     known = tb.Settings(known={"mass": (mass_of(tree), 0.01)})
@@ -292,7 +295,7 @@ def test_dry_friction_that_jumps_at_reversals_does_not_enter() -> None:
     errors, counts = [], []
     for reach in (None, 0.02, 0.05, 0.15, 10.0):
         how = tb.Settings(reversal_reach=reach, zeros=True)
-        found = tb.identify(tree, plus(clean, torque=stuck), "internal", settings=how)
+        found = tb.identify(tree, plus(clean, torque=stuck), "torque", settings=how)
         truth = found.minimal.values(tb.barycentric(tree))
         errors.append(float(np.abs(found.base.values / truth - 1).max()))
         counts.append(sum(found.samples))
@@ -306,7 +309,7 @@ def test_facts_count_as_far_as_they_are_sure() -> None:
     """Held, a mass is had; its doubt comes back as far as the estimate moves; seen by moving it."""
     tree, recording = robot("puma"), measured(robot("puma"))
 
-    def knowing(method: Method = "external", **known: float | tuple[float, float]) -> Estimate:
+    def knowing(method: Signal = "wrench", **known: float | tuple[float, float]) -> Estimate:
         return tb.identify(tree, recording, method, settings=tb.Settings(known=known))
 
     mass = mass_of(tree) + 1.0
@@ -318,9 +321,9 @@ def test_facts_count_as_far_as_they_are_sure() -> None:
     wanted = np.sqrt(np.diagonal(exact.covariance) + (0.05 * slope) ** 2)
     np.testing.assert_allclose(doubted.values, exact.values)
     np.testing.assert_allclose(np.sqrt(np.diagonal(doubted.covariance)), wanted, rtol=0.02)
-    plain, k = knowing("internal"), 3
-    np.testing.assert_array_equal(plain.values, knowing("internal", mass=3.0).values)  # not told
-    found = knowing("internal", **{plain.names[k]: float(plain.values[k])})
+    plain, k = knowing("torque"), 3
+    np.testing.assert_array_equal(plain.values, knowing("torque", mass=3.0).values)  # not told
+    found = knowing("torque", **{plain.names[k]: float(plain.values[k])})
     assert np.abs((found.values - plain.values) / plain.sigma).max() < 0.01
     assert found.noise is not None
     assert plain.noise is not None
@@ -353,10 +356,10 @@ def test_facts_that_mean_nothing_are_refused() -> None:
 def test_a_plate_that_is_not_level_is_named() -> None:
     """By 1 degree; a level one is not."""
     tree = robot("ur5")
-    leaning = tree.with_gravity(from_vector([0.02, 0, 0]) @ tree.gravity)
+    leaning = tree.with_gravity(rotvec_to_matrix([0.02, 0, 0]) @ tree.gravity)
     for actual, said in ((leaning, True), (tree, False)):
         made = noisy(ideal(actual, duration=20.0), size=0.02)
-        metadata = replace(made.metadata, gravity=three(tree.gravity))
+        metadata = replace(made.metadata, gravity=vector_tuple(tree.gravity))
         found = tb.identify(tree, replace(made, metadata=metadata))
         assert ("tilt" in {each.family for each in found.model_errors}) == said
 
@@ -365,9 +368,9 @@ def test_a_parameter_counts_for_the_signal_that_it_makes_alone() -> None:
     """Witness: the regressor of the motion, unfiltered; the largest is told first."""
     tree = robot("gantry")
     recording = ideal(tree)
-    found = run_of(tree, recording).estimates["external"]
+    found = run_of(tree, recording).estimates["wrench"]
     truth = found.minimal.values(tb.barycentric(tree))
-    columns = tb.regressor(tree, motion_in(recording)[0], found.minimal) * truth
+    columns = tb.regressor(tree, longest_segment_motion(recording)[0], found.minimal) * truth
     parts = (columns[:, :3], columns[:, 3:])
     wanted = np.max(
         [np.linalg.norm(p, axis=(0, 1)) / np.linalg.norm(p.sum(axis=2)) for p in parts], axis=0
@@ -375,4 +378,4 @@ def test_a_parameter_counts_for_the_signal_that_it_makes_alone() -> None:
     values = dict(zip(found.names, truth.tolist(), strict=True))
     large = wanted > 0.02 * wanted.max()
     np.testing.assert_allclose(influence(found, values)[large], wanted[large], rtol=0.2)
-    assert by_influence([found], values)[0] == found.names[int(wanted.argmax())]
+    assert names_by_influence([found], values)[0] == found.names[int(wanted.argmax())]

@@ -18,13 +18,13 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import RecordingError, SettingsError
-from testbed.core.estimation.estimate import METHODS, Method
-from testbed.core.estimation.problem import samples_of
+from testbed.core.estimation.problem import selected_samples
 from testbed.core.estimation.regression.windows import make_plan
 from testbed.core.kernel import numba_engine
-from testbed.core.kernel.layout import layout
+from testbed.core.kernel.layout import make_layout
+from testbed.core.parameters.rules import SIGNALS, Signal
 from testbed.core.recordings.metadata import Metadata
-from testbed.core.recordings.source import Stretch
+from testbed.core.recordings.source import SourceRange
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
 from tests.helpers.parts import write_parts
@@ -73,14 +73,14 @@ def recording(tree: tb.Tree) -> tb.Recording:
 @pytest.fixture
 def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """The compiled kernel for every job."""
-    monkeypatch.setattr("testbed.core.estimation.regression.passes.SMALL", 0.0)
+    monkeypatch.setattr("testbed.core.estimation.regression.passes.MIN_COMPILED_SECONDS", 0.0)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("compiled")
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SIGNALS)
 def test_threads_files_maps_and_streams_give_the_same_bits(
-    method: Method, tree: tb.Tree, recording: tb.Recording, tmp_path: Path
+    method: Signal, tree: tb.Tree, recording: tb.Recording, tmp_path: Path
 ) -> None:
     """Files with odd row groups, parts of odd sizes, columns in another order or apart."""
     for treated, given_now in ((EXACT, recording), (FILTERED, encoders(recording))):
@@ -130,7 +130,7 @@ def test_as_many_threads_work_as_asked_and_no_more_is_read_than_they_need(
 
     long = ideal(tree, duration=1000.0, rate=200.0, seed=3)
     monkeypatch.setattr(tb.Recording, "part", part)
-    for name in ("sweep", "rows"):
+    for name in ("row_products", "rows"):
         monkeypatch.setattr(numba_engine, name, partial(answer, getattr(numba_engine, name)))
     steps: list[tuple[int, int]] = []
     tb.identify(tree, long, settings=EXACT, threads=2, progress=lambda *done: steps.append(done))
@@ -156,7 +156,9 @@ def test_what_is_no_number_gaps_in_time_and_nothing_are_named(
         for source in (bad, path):
             with refuses(RecordingError, channel, "60123", "300.615"):
                 tb.identify(tree, source, threads=2)
-    plan = make_plan(recording, layout(tree, tb.minimal_set(tree, "reaction")), np.zeros(6), EXACT)
+    plan = make_plan(
+        recording, make_layout(tree, tb.minimal_set(tree, "wrench")), np.zeros(6), EXACT
+    )
     border = [window.first for window in plan.windows()][1]
     for sample in (70_000, border - 1, border):
         time = np.array(recording.time)
@@ -177,7 +179,7 @@ def test_short_jobs_do_not_wait_for_the_compiler_and_long_ones_use_it() -> None:
         "from tests.helpers.ideal import ideal\n"
         f"tree = tb.load_tree(r'{ROOT / 'models/puma562.urdf'}')\n"
         "for seconds, compiled in ((5.0, False), (50.0, True)):\n"
-        "    tb.identify(tree, ideal(tree, seconds, 1000.0), 'external')\n"
+        "    tb.identify(tree, ideal(tree, seconds, 1000.0), 'wrench')\n"
         "    assert ('numba' in sys.modules) == compiled\n"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
@@ -197,10 +199,10 @@ def test_what_does_not_count_changes_nothing(tmp_path: Path) -> None:
     same(tb.identify(tree, upset, settings=tb.Settings(span=span)), wanted)
     for source in (said, tmp_path / "said.parquet"):
         same(tb.identify(tree, source), wanted)
-    both = samples_of(said, tb.Settings(span=[1.0, 5.0]))  # settings go before
+    both = selected_samples(said, tb.Settings(span=[1.0, 5.0]))  # settings go before
     assert (both.samples, both.part(0, 1).time[0]) == (round(4 * said.rate), pytest.approx(1.0))
     with refuses(RecordingError, "50", "60", "span"):
-        samples_of(whole, tb.Settings(span=[50.0, 60.0]))
+        selected_samples(whole, tb.Settings(span=[50.0, 60.0]))
     with refuses(ValueError, "counted"):
         Metadata.parse({"counted": ["a", 2]})
 
@@ -210,8 +212,8 @@ def runs_of(tree: tb.Tree, *seeds: int, duration: float = 12.0) -> list[tb.Recor
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Method) -> None:
+@pytest.mark.parametrize("method", SIGNALS)
+def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Signal) -> None:
     """No row reaches across a gap: in any order, tared each in its way; sigma is honest."""
     tree, more = robot("gantry"), np.array([1.0, 2.0, 30.0, 0.1, 0.2, 0.3])
     parts = runs_of(tree, 1, 2, 3)
@@ -237,8 +239,8 @@ def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
     )
     assert [each.text for each in both.metadata.diagnostics] == ["a gap", "both", "late"]
     (_, end), (begin, last) = both.segments
-    assert Stretch(both, 100, last - 50).segments == ((0, end - 100), (begin - 100, last - 150))
-    assert Stretch(both, end, last).segments == ((begin - end, last - end),)
+    assert SourceRange(both, 100, last - 50).segments == ((0, end - 100), (begin - 100, last - 150))
+    assert SourceRange(both, end, last).segments == ((begin - end, last - end),)
     with pytest.raises(ValueError, match=str(end - 1)):
         both.part(end - 1, begin + 1)
 
@@ -265,7 +267,7 @@ def test_a_plate_whose_zero_nobody_knows_tells_the_tared_set(name: str) -> None:
     """Beside a drift, too."""
     tree = robot(name)
     plain = measured(tree, 3, duration=30.0)
-    tared = tb.minimal_set(tree, "reaction", tared=True)
+    tared = tb.minimal_set(tree, "wrench", tared=True)
     drift = np.array([0.1, -0.2, 0.5, 0, 0, 0])
     for slope, asked in ((0 * drift, ()), (drift, ("slope",))):
         wrench = np.array([5.0, -3.0, 80.0, 2.0, 1.0, -4.0]) + plain.time[:, None] * slope

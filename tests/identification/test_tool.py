@@ -22,16 +22,16 @@ from scipy.spatial.transform import Rotation
 import testbed as tb
 from testbed.applications.payload.payload import UNITS, PayloadEstimate
 from testbed.applications.payload.static_fit import StaticPoses
-from testbed.applications.payload.tool import tool_at_rest, tool_of
-from testbed.applications.payload.vendors import VENDORS, at_flange
+from testbed.applications.payload.tool import tool_from_motion, tool_from_static_poses
+from testbed.applications.payload.vendors import VENDOR_WRITERS, flange_payload
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.base.transform import Transform
-from testbed.core.parameters.symbols import STANDARD
-from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.inertia import NOTHING, Inertia
-from testbed.core.robot.repair import FileLink
-from testbed.core.robot.tree import Placement
+from testbed.core.parameters.symbols import STANDARD_NAMES
+from testbed.core.robot.force_sensor import ForceSensor, tree_beyond_sensor
+from testbed.core.robot.inertia import ZERO_INERTIA, Inertia
+from testbed.core.robot.repair import ModelLink
+from testbed.core.robot.tree import SensorPlacement
 from testbed.importing.static_poses import read_static_poses
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
@@ -88,7 +88,7 @@ def test_static_poses_give_mass_centre_zero_and_gravity(rng: Rng) -> None:
     q, wrench, _ = poses(17, int(rng.integers(999)), gravity, 0 * ZERO)
     seen = sensor.inv().apply(wrench.reshape(-1, 3)).reshape(-1, 6) + ZERO
     tree = tb.load_tree(UR5, sensor=ForceSensor("b6", rotation=sensor.as_matrix()))
-    found = tool_at_rest(tree, StaticPoses(q, seen))
+    found = tool_from_static_poses(tree, StaticPoses(q, seen))
     numbers = [found.mass, *found.centre, *found.force_zero, *found.moment_zero]
     truth = [MASS, *sensor.inv().apply(CENTRE), *ZERO]
     z = [(value - true) / sigma for (value, sigma), true in zip(numbers, truth, strict=True)]
@@ -102,7 +102,7 @@ def test_its_standard_deviations_hold_with_few_poses() -> None:
     """Six poses leave 24 numbers over: a normal law's 95 % are 95 % still."""
     inside = []
     for seed in range(60):
-        found = tool_at_rest(sensed_ur5(), StaticPoses(*poses(6, 100 + seed)[:2]))
+        found = tool_from_static_poses(sensed_ur5(), StaticPoses(*poses(6, 100 + seed)[:2]))
         numbers = zip((found.mass, *found.centre), (MASS, *CENTRE), strict=True)
         inside += [abs(value - truth) < 1.96 * sigma for (value, sigma), truth in numbers]
     assert 0.9 < np.mean(inside) < 0.985
@@ -112,10 +112,10 @@ def test_what_tells_no_tool_is_said_or_refused() -> None:
     """Poses that are all alike, a robot without a sensor, no gravity."""
     q, wrench, _ = poses(9, 7)
     alike = StaticPoses(0 * q + q[0], 0 * wrench + wrench[0] + NOISE * wrench / 10)
-    assert "mass and gravity" in tool_at_rest(sensed_ur5(), alike).unidentifiable
+    assert "mass and gravity" in tool_from_static_poses(sensed_ur5(), alike).unidentifiable
     for tree in (tb.load_tree(UR5), sensed_ur5().with_gravity([0, 0, 0])):
         with pytest.raises(SettingsError):
-            tool_at_rest(tree, StaticPoses(q, wrench))
+            tool_from_static_poses(tree, StaticPoses(q, wrench))
 
 
 Fault = Callable[[Array, Array, Array], tuple[Array, Array]]
@@ -151,7 +151,9 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
 def test_a_fault_is_named_first_and_nothing_of_a_right_table(name: str, zero: Array) -> None:
     fault, code, cause = FAULTS[name]
     for count, seed in ((8, 0), (16, 1)):
-        found = tool_at_rest(sensed_ur5(), StaticPoses(*fault(*poses(count, seed, zero=zero))))
+        found = tool_from_static_poses(
+            sensed_ur5(), StaticPoses(*fault(*poses(count, seed, zero=zero)))
+        )
         assert [each.code for each in found.diagnostics] == [code] * (code != "")
         assert [*found.diagnostics[0].causes[:1]] == [cause] * (cause != "") if code else True
 
@@ -162,10 +164,13 @@ def test_a_fault_is_named_first_and_nothing_of_a_right_table(name: str, zero: Ar
 def test_gravity_shows_how_the_base_stands(angle: float, code: str) -> None:
     gravity = Rotation.from_euler("y", angle, degrees=True).apply(DOWN)
     for count in (4, 12):
-        found = tool_at_rest(sensed_ur5(), StaticPoses(*poses(count, 3, gravity)[:2]))
+        found = tool_from_static_poses(sensed_ur5(), StaticPoses(*poses(count, 3, gravity)[:2]))
         assert [each.code for each in found.diagnostics] == [code] * (code != "")
         right = sensed_ur5().with_gravity(gravity)
-        assert tool_at_rest(right, StaticPoses(*poses(count, 3, gravity)[:2])).diagnostics == ()
+        assert (
+            tool_from_static_poses(right, StaticPoses(*poses(count, 3, gravity)[:2])).diagnostics
+            == ()
+        )
 
 
 def test_a_cable_that_pulls_beside_the_centre_is_the_first_cause() -> None:
@@ -173,7 +178,8 @@ def test_a_cable_that_pulls_beside_the_centre_is_the_first_cause() -> None:
     pull = np.einsum("pji,j->pi", turn, [-3.0, 0, 0])
     wrench = wrench + np.hstack([pull, np.cross([0, 0, 0.25], pull)])
     said = {
-        each.code: each for each in tool_at_rest(sensed_ur5(), StaticPoses(q, wrench)).diagnostics
+        each.code: each
+        for each in tool_from_static_poses(sensed_ur5(), StaticPoses(q, wrench)).diagnostics
     }
     assert said.keys() == {"tool.residual", "tool.level"}
     assert said["tool.level"].causes[0] == "cable"
@@ -268,12 +274,12 @@ def test_a_motion_gives_all_ten_about_the_sensor() -> None:
     place = 1.5 * sensor.position + rng.uniform(-0.02, 0.02, 3)
     tool = Inertia.about_centre(1.5, place, 1.5e-3 * np.eye(3))
     tree = replace(tree, inertias=(*tree.inertias[:-1], tool))
-    cut = beyond_sensor(tree, links_of(tree), sensor)
+    cut = tree_beyond_sensor(tree, links_of(tree), sensor)
     motion, wrench = swinging(cut, 500, 4.0)
     recording = tb.Recording(
         cut.names, motion.t, motion.q, wrench=wrench, velocity=motion.qd, acceleration=motion.qdd
     )
-    found = tool_of(cut, tb.identify(cut, recording))
+    found = tool_from_motion(cut, tb.identify(cut, recording))
     assert all(found.identifiable)
     assert found.centre is not None
     np.testing.assert_allclose(found.values[0], 1.5, rtol=1e-3)
@@ -305,7 +311,7 @@ units = ["N", "N m"]
 def test_a_sensors_mapping_is_checked_and_its_frame_is_solved(tmp_path: Path) -> None:
     """Of a recording whose sensor is turned by 30 degrees, or shows the opposite sense."""
     tree = tb.load_tree(UR5)
-    motion, wrench = swinging(beyond_sensor(tree, links_of(tree), ForceSensor("b6")), 300, 3.0)
+    motion, wrench = swinging(tree_beyond_sensor(tree, links_of(tree), ForceSensor("b6")), 300, 3.0)
     turned = seen_from(Rotation.from_euler("z", -30, degrees=True).as_matrix()[None], wrench)
     (tmp_path / "map.toml").write_text(MAPPING)
     words = ["import", "map.toml", "--out", "x.parquet", "--model", str(UR5)]
@@ -325,7 +331,7 @@ def test_a_sensors_mapping_is_checked_and_its_frame_is_solved(tmp_path: Path) ->
 
 TURN = Rotation.from_euler("xyz", [0.3, -0.8, 2.0]).as_matrix()
 PLACE = np.array([0.02, -0.05, 0.11])
-FLANGE = FileLink("tool0", 2, "forearm", "forearm", Transform(TURN, PLACE), NOTHING)
+FLANGE = ModelLink("tool0", 2, "forearm", "forearm", Transform(TURN, PLACE), ZERO_INERTIA)
 
 
 def points() -> tuple[Array, Array]:
@@ -349,8 +355,8 @@ def estimate() -> PayloadEstimate:
     root = 1e-4 * np.random.default_rng(2).normal(size=(10, 10))
     covariance = root @ root.T
     return PayloadEstimate(
-        names=STANDARD, units=UNITS, values=values, covariance=covariance, joint="elbow", rank=10,
-        chance=0.5,
+        names=STANDARD_NAMES, units=UNITS, values=values, covariance=covariance, joint="elbow",
+        rank=10, p_value=0.5,
     )  # fmt: skip
 
 
@@ -378,7 +384,7 @@ def read_back(vendor: str, text: str) -> tuple[float, Array, Array]:
 def test_every_vendor_reads_the_payload_at_the_flange() -> None:
     """Wrong end-effector inertias cost a Franka a fifth of its tracking; also beyond a sensor."""
     turn = Rotation.from_euler("xyz", [1.0, 0.2, -0.5]).as_matrix()
-    sensor = Placement(np.array([0.1, 0.0, 0.2]), turn, "wrist", 2)
+    sensor = SensorPlacement(np.array([0.1, 0.0, 0.2]), turn, "wrist", 2)
     felt = replace(robot("puma"), sensor=sensor)
     mass, place = points()
     moved = place @ turn.T + sensor.position
@@ -388,9 +394,9 @@ def test_every_vendor_reads_the_payload_at_the_flange() -> None:
         (felt, None, place),
         (felt, FLANGE, (moved - PLACE) @ TURN),
     ):
-        load, expected = at_flange(estimate(), tree, link), central(mass, seen)
+        load, expected = flange_payload(estimate(), tree, link), central(mass, seen)
         assert load.frame == ("tool0" if link else "wrist" if tree is felt else "link3")
-        for vendor, text in VENDORS.items():
+        for vendor, text in VENDOR_WRITERS.items():
             read = read_back(vendor, text(load))
             for k in range(3):
                 np.testing.assert_allclose(read[k], expected[k], rtol=1e-12, atol=1e-14)
@@ -398,11 +404,11 @@ def test_every_vendor_reads_the_payload_at_the_flange() -> None:
 
 def test_sigma_is_the_spread_of_what_is_written() -> None:
     found, tree = estimate(), robot("puma")
-    load = at_flange(found, tree, FLANGE)
+    load = flange_payload(found, tree, FLANGE)
     rng, rows = np.random.default_rng(1), []
     for values in rng.multivariate_normal(found.values, found.covariance, 500):
-        own = at_flange(replace(found, values=values), tree, FLANGE)
-        rows.append([own.inertia.mass, *own.inertia.com, *own.six])
+        own = flange_payload(replace(found, values=values), tree, FLANGE)
+        rows.append([own.inertia.mass, *own.inertia.com, *own.inertia_components])
     np.testing.assert_allclose(np.std(rows, axis=0), load.sigma, rtol=0.12)
 
 
@@ -416,4 +422,4 @@ def test_what_no_controller_should_get_is_refused() -> None:
         (found, replace(FLANGE, body=1), "tool0"),
     ):
         with refuses(SettingsError, culprit):
-            at_flange(each, tree, link)
+            flange_payload(each, tree, link)

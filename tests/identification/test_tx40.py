@@ -13,7 +13,7 @@ from scipy import signal
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.term_choice import choose_terms, held_out
+from testbed.core.estimation.selection.term_choice import choose_terms, cross_validate
 from tests.helpers.paths import ROOT
 
 TX40 = ROOT / "examples/tx40"
@@ -103,7 +103,7 @@ def decimated(values: Array) -> Array:
 def test_the_published_parameters_are_reproduced() -> None:
     """By our minimal set and regressor, and by all that the source did, slips included."""
     tree = tb.load_tree(TX40 / "tx40.urdf")
-    minimal = tb.minimal_set(tree, "dynamic")
+    minimal = tb.minimal_set(tree, "torque")
     columns, measured = rows_of_the_source(tree, minimal)
     x, y = np.concatenate(columns), np.concatenate(measured)
     assert len(y) == 2075
@@ -130,11 +130,11 @@ def test_the_published_parameters_are_reproduced() -> None:
 def test_unseen_sixths_are_foretold_better_with_the_coupled_wrist() -> None:
     """And with terms that are chosen by data that a fit has not seen."""
     tree, recording = (tb.load_tree(TX40 / "tx40.urdf"), tb.import_recording(TX40 / "tx40.toml"))
-    geared = Problem.of(tree, recording, "internal")
-    alone, coupled = (held_out(each) for each in (replace(geared, tree=tree), geared))
+    geared = Problem.from_recording(tree, recording, "torque")
+    alone, coupled = (cross_validate(each) for each in (replace(geared, tree=tree), geared))
     assert alone.residual[4] > 4 * coupled.residual[4]
     for cutoff, most in ((5.0, 1.10), (10.0, 1.04)):
         asked = tb.Settings(cutoff=cutoff)
-        choice = choose_terms(Problem.of(tree, recording, "internal", asked))
+        choice = choose_terms(Problem.from_recording(tree, recording, "torque", asked))
         assert choice.parts == 6
         assert choice.after.rms <= min(choice.before.rms, most)

@@ -15,16 +15,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import LIMIT, motion_in, predictions, validate
+from testbed.applications.prediction import longest_segment_motion, predicted_signals
+from testbed.applications.validate import MAX_ERROR_RATIO, validate
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
-from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Method
+from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, row_weights
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.kernel.records import REST_VARIANCE
-from testbed.core.recordings.metadata import Metadata, three
-from testbed.core.robot.friction import LAWS
+from testbed.core.parameters.rules import SIGNALS, Signal
+from testbed.core.recordings.metadata import Metadata, vector_tuple
+from testbed.core.robot.friction import JOINT_LAWS
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
@@ -40,10 +42,10 @@ def witness(
 ) -> tuple[Array, Array, Array]:
     """Rows, rms and mean of residuals by dense inverse dynamics and a filter by NumPy."""
     settings = settings.fitted(recording.rate)
-    motion, inner = motion_in(recording, settings)
-    wrench, torque = predictions(tree, recording, motion, {estimate.method: estimate})
-    foretold = (wrench if estimate.method == "external" else torque)[estimate.method]
-    left = recording.measured(SIGNAL_OF[estimate.method])[inner] - foretold
+    motion, inner = longest_segment_motion(recording, settings)
+    wrench, torque = predicted_signals(tree, recording, motion, {estimate.method: estimate})
+    foretold = (wrench if estimate.method == "wrench" else torque)[estimate.method]
+    left = recording.measured(estimate.method)[inner] - foretold
     weights = row_weights(recording.rate, settings.row_low_pass)
     passed = np.column_stack([np.convolve(each, weights, "valid") for each in left.T])
     cutoff, step = settings.row_low_pass, 1
@@ -51,8 +53,8 @@ def witness(
         step = int((1 + 1e-9) * recording.rate / (ROWS_PER_CUTOFF * cutoff))
     at = np.arange(0, len(passed), step)
     counts, used = np.ones((len(at), left.shape[1]), dtype=bool), passed[at]
-    size = Problem.of(tree, recording, estimate.method, settings).layout.rows.block
-    for joint in range(left.shape[1] if estimate.method == "internal" else 0):
+    size = Problem.from_recording(tree, recording, estimate.method, settings).layout.rows.block
+    for joint in range(left.shape[1] if estimate.method == "torque" else 0):
         rests = np.abs(motion.qd[:, joint]) <= settings.deadband
         at_rest = [(weights * rests[first : first + len(weights)]).any() for first in at]
         near = np.flatnonzero(at_rest)
@@ -69,9 +71,9 @@ def witness(
     return rows, np.sqrt((used**2).sum(axis=0) / rows), used.sum(axis=0) / rows
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SIGNALS)
 @pytest.mark.parametrize("name", ["puma", "random"])
-def test_residuals_and_spread_are_those_of_dense_computation(name: str, method: Method) -> None:
+def test_residuals_and_spread_are_those_of_dense_computation(name: str, method: Signal) -> None:
     """Inverse dynamics row by row; the spread of predictions, direction by direction.
 
     Neither the model file's masses nor the truth are looked at.
@@ -96,16 +98,16 @@ def test_residuals_and_spread_are_those_of_dense_computation(name: str, method: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SIGNALS)
 @pytest.mark.parametrize("name", ["puma", "gantry"])
-def test_sound_instruments_are_foretold_and_changed_gains_named(name: str, method: Method) -> None:
+def test_sound_instruments_are_foretold_and_changed_gains_named(name: str, method: Signal) -> None:
     """Another motion as sigma says; five per cent in any channel that is strong enough."""
-    tree, signal = robot(name), SIGNAL_OF[method]
+    tree, signal = robot(name), method
     estimate, other = tb.identify(tree, measured(tree, 1), method), measured(tree, 2)
     found = validate(tree, other, estimate)
     assert np.all((found.ratio > 0.6) & (found.ratio < 1.6))
     assert found.diagnostics == ()
-    strong = np.flatnonzero(0.05 * found.signal > 3 * LIMIT * estimate.residual)
+    strong = np.flatnonzero(0.05 * found.signal > 3 * MAX_ERROR_RATIO * estimate.residual)
     assert len(strong) > 0
     for c in strong.tolist():
         more = 0.05 * np.eye(len(found.signal))[c] * other.measured(signal)
@@ -118,7 +120,7 @@ def test_sound_instruments_are_foretold_and_changed_gains_named(name: str, metho
 
 def test_a_joint_that_rests_all_the_time_has_no_residual(puma: tb.Tree) -> None:
     settings = replace(EXACT, deadband=0.3)
-    estimate = tb.identify(puma, noisy(ideal(puma, seed=1)), "internal", settings=settings)
+    estimate = tb.identify(puma, noisy(ideal(puma, seed=1)), "torque", settings=settings)
     other = noisy(ideal(puma, seed=2))
     still = replace(other, velocity=other.measured("velocity") * [1.0, 0.0, 1.0])
     found = validate(puma, still, estimate, settings=settings)
@@ -181,7 +183,7 @@ def test_what_does_not_fit_together_is_refused(puma: tb.Tree) -> None:
 
 
 FILTERED = tb.Settings(position_cutoff=20.0, cutoff=5.0, deadband=0.05)
-EVERY = tuple(law.kind for law in LAWS)
+EVERY = tuple(law.kind for law in JOINT_LAWS)
 MOON = np.array([0.3, -0.2, -1.62])
 CASES: tuple[dict[str, Any], ...] = (
     {},
@@ -190,7 +192,7 @@ CASES: tuple[dict[str, Any], ...] = (
     {"velocity": None},
     {"acceleration": None},
     {"velocity": None, "acceleration": None},
-    {"metadata": Metadata(gravity=three(MOON))},
+    {"metadata": Metadata(gravity=vector_tuple(MOON))},
 )
 
 
@@ -203,7 +205,7 @@ def test_predictions_leave_residuals(case: dict[str, Any], rng: Rng, treated: tb
     there = tree.with_gravity(MOON) if "metadata" in case else tree
     recording = replace(noisy(ideal(there, duration=20.0)), **case)
     treated = replace(treated, terms=EVERY[: int(rng.integers(8))])
-    for method in METHODS:
+    for method in SIGNALS:
         estimate = tb.identify(tree, recording, method, settings=treated)
         found = validate(tree, recording, estimate, settings=treated)
         assert estimate.noise is not None
@@ -215,7 +217,7 @@ def test_the_motion_from_encoders_is_the_motion_within_its_ends(puma: tb.Tree) -
     """What is slow passes: values and derivatives are those of the motion, at their instants."""
     recording = ideal(puma, duration=20.0)
     encoders = replace(recording, velocity=None, acceleration=None)
-    motion, where = motion_in(encoders, tb.Settings(position_cutoff=40.0, cutoff=5.0))
+    motion, where = longest_segment_motion(encoders, tb.Settings(position_cutoff=40.0, cutoff=5.0))
     assert 0 < where.start == recording.samples - where.stop < recording.samples // 10
     np.testing.assert_array_equal(motion.t, recording.time[where])
     for found, signal, error in (
@@ -224,6 +226,6 @@ def test_the_motion_from_encoders_is_the_motion_within_its_ends(puma: tb.Tree) -
         (motion.qdd, "acceleration", 1e-4),
     ):
         np.testing.assert_allclose(found, recording.measured(signal)[where], atol=error)
-    assert motion_in(encoders.part(0, 2 * where.start + 1))[0].samples == 1
+    assert longest_segment_motion(encoders.part(0, 2 * where.start + 1))[0].samples == 1
     with refuses(RecordingError):
-        motion_in(encoders.part(0, 2 * where.start))
+        longest_segment_motion(encoders.part(0, 2 * where.start))

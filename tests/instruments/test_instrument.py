@@ -19,12 +19,12 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
 from testbed.core.recordings.metadata import NO_METADATA
 from testbed.core.recordings.recording import Recording, Truth
-from testbed.lab.instruments.chain import Instrument, measure, measured_again
-from testbed.lab.instruments.error_chain import apply_chain, stream
-from testbed.lab.instruments.plates import PLATES
+from testbed.lab.instruments.chain import Instrument, measure, remeasured
+from testbed.lab.instruments.error_chain import apply_chain, random_stream
+from testbed.lab.instruments.plates import PLATE_MODELS
 from testbed.sensors.catalogue import simulated_errors
-from testbed.sensors.kind_reader import error_of
-from testbed.sensors.kinds_in_words import in_words
+from testbed.sensors.kind_reader import sensor_error_from_table
+from testbed.sensors.kinds_in_words import describe_kind
 from testbed.sensors.sensor_error import FULL_SCALE, SensorError, StageOrder
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
@@ -80,18 +80,18 @@ def test_noise_comes_from_the_streams_of_older_recordings() -> None:
     golden = {"encoder_noise": -0.2407279463145176, "torque_noise": -0.5346093661287762,
               "plate_noise": -2.0306006741711506, "encoder_resolution": -0.05591096996529509,
               "some_fault": -1.5672328128223696}  # fmt: skip
-    assert {kind: stream(kind, 1996).normal() for kind in golden} == golden
+    assert {kind: random_stream(kind, 1996).normal() for kind in golden} == golden
     keys = [(kind, seed, n, use) for kind in golden for seed in (0, 1) for n in (0, 1)
             for use in ("", "tare")]  # fmt: skip
-    assert len({stream(*key).normal() for key in keys}) == len(keys)
+    assert len({random_stream(*key).normal() for key in keys}) == len(keys)
     errors = {"b": 0.08, "c": -0.02, "stranger": 9.0}
     shown = seen(base=replace(NOISY, encoder_resolution=0.25, torque_constant_error=errors))
     what = truth()
-    q = what.position + 1e-3 * stream("encoder_noise", SEED).normal(size=(SAMPLES, 3))
+    q = what.position + 1e-3 * random_stream("encoder_noise", SEED).normal(size=(SAMPLES, 3))
     same(shown.position, 0.25 * np.round(q / 0.25))
-    noise = 0.5 * stream("torque_noise", SEED).normal(size=(SAMPLES, 3))
+    noise = 0.5 * random_stream("torque_noise", SEED).normal(size=(SAMPLES, 3))
     same(shown.torque, what.torque * [1.0, 1.08, 0.98] + noise)
-    noise = np.repeat([0.5, 0.1], 3) * stream("plate_noise", SEED).normal(size=(SAMPLES, 6))
+    noise = np.repeat([0.5, 0.1], 3) * random_stream("plate_noise", SEED).normal(size=(SAMPLES, 6))
     same(shown.wrench, what.wrench + noise)
 
 
@@ -122,7 +122,7 @@ def test_two_of_one_kind_have_streams_of_their_own() -> None:
     )
     assert abs(np.mean((two - one) * one)) < 0.1 * np.mean(one**2)
     assert np.mean(two**2) == pytest.approx(2 * np.mean(one**2), rel=0.1)
-    every = Instrument(fault=(tb.PlateBias(),) * 8).installed(NAMES, 0)["wrench"]
+    every = Instrument(fault=(tb.PlateBias(),) * 8).sampled_stages(NAMES, 0)["wrench"]
     assert len({str(fault) for fault in every if isinstance(fault, tb.PlateBias)}) > 1
 
 
@@ -164,7 +164,7 @@ def test_a_measured_tare_has_the_plates_own_faults_and_noise_and_the_drift_since
     np.testing.assert_allclose(np.asarray(drift.tare), TARE - 0.05 * 62.5005 * np.eye(6)[0])
     noisy = seen(tb.MeasuredTare(1.0))
     same(noisy.wrench, seen().wrench)
-    own = stream("plate_noise", SEED, 0, "tare").normal(size=(1000, 6)).mean(axis=0)
+    own = random_stream("plate_noise", SEED, 0, "tare").normal(size=(1000, 6)).mean(axis=0)
     np.testing.assert_allclose(
         np.asarray(noisy.tare), TARE + np.repeat([0.5, 0.1], 3) * own, atol=1e-12
     )
@@ -176,27 +176,31 @@ def test_every_fault_suits_every_robot_and_needs_no_simulation(
 ) -> None:
     recording = ideal(tree, duration=3.0)
     faults = tuple(simulated_errors()[kind]() for kind in sorted(kinds))
-    shown = measured_again(recording, Instrument(rate=200.0, fault=faults), 5)
+    shown = remeasured(recording, Instrument(rate=200.0, fault=faults), 5)
     for signal in ("position", "torque", "wrench"):
         values = shown.measured(signal)
         assert np.isfinite(values).all()
         if all(fault.signal != signal for fault in faults):
             same(values, recording.measured(signal))
     with refuses(RecordingError, "truth"):
-        measured_again(recording.blind(), NOISY, 1)
+        remeasured(recording.blind(), NOISY, 1)
     with refuses(RecordingError, "200", "1000"):
-        measured_again(recording, NOISY, 1)
+        remeasured(recording, NOISY, 1)
 
 
 def test_a_file_says_faults_as_python_does_and_every_kind_is_documented() -> None:
     """Read with defaults, written back, listed in the docs with its keys; sizes are sizes."""
-    every = ",".join(entry.example for entry in map(in_words, simulated_errors().values()))
+    every = ",".join(entry.example for entry in map(describe_kind, simulated_errors().values()))
     experiment = tb.Experiment.from_toml(TABLE6, [f"measurement.fault=[{every}]"])
     assert [fault.kind for fault in experiment.measurement.fault] == list(simulated_errors())
     for kind, made in simulated_errors().items():
         fault = made()
-        assert error_of({"kind": kind}) == error_of(fault.table()) == fault
-        assert [name for name, _, _ in in_words(type(fault)).keys] == list(fault.known_keys())
+        assert (
+            sensor_error_from_table({"kind": kind})
+            == sensor_error_from_table(fault.table())
+            == fault
+        )
+        assert [name for name, _, _ in describe_kind(type(fault)).keys] == list(fault.known_keys())
         assert all(size > 0 for name, size in fault.table().items() if name != "kind")
     text = '[{kind="plate_bias",force=[1,2,3]},{kind="encoder_zero_error",error={elbow=1e-3}}]'
     found = tb.Experiment.from_toml(TABLE6, [f"measurement.fault={text}"]).measurement.fault
@@ -248,7 +252,7 @@ def test_what_no_instrument_can_be_is_refused_before_anything_is_simulated() -> 
 
 def test_a_plate_by_name_gives_what_is_not_said_beside_it() -> None:
     named = Instrument(plate="ati-axia80-m20", moment_noise=0.5)
-    known = PLATES["ati-axia80-m20"]
+    known = PLATE_MODELS["ati-axia80-m20"]
     assert named.force_noise == known.force_noise > 0
     assert (named.moment_noise, named.full_scale) == (0.5, known.full_scale)
     again = tb.Experiment(name="x", model="x.urdf", measurement=named).as_toml()
@@ -324,9 +328,11 @@ def test_crosstalk_is_in_proportion_to_full_scale() -> None:
     fault = tb.PlateCrosstalk(matrix=tuple(map(tuple, x.tolist())))
     for scale in (FULL_SCALE, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)):
         loads = np.diag(scale)
-        seen = through(fault.on(NAMES, scale), loads, CLOCK[:6])
+        seen = through(fault.for_robot(NAMES, scale), loads, CLOCK[:6])
         close(((seen - loads) / scale).T, x)
-    mixing = np.array(tb.PlateCrosstalk(0.01).sample(3, np.random.default_rng(1)).matrix)
+    mixing = np.array(
+        tb.PlateCrosstalk(0.01).with_random_values(3, np.random.default_rng(1)).matrix
+    )
     assert not np.diagonal(mixing).any()
     assert 0.005 < np.abs(mixing).max() <= 0.01
 
@@ -412,15 +418,15 @@ def test_a_single_number_gets_signs_and_phases_by_chance_and_a_list_keeps_its_ow
     signs, phases = set(), []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        fault = tb.PlateBias(0.3, (1.0, -2.0, 3.0)).sample(3, rng)
+        fault = tb.PlateBias(0.3, (1.0, -2.0, 3.0)).with_random_values(3, rng)
         assert np.abs(fault.force).tolist() == [0.3] * 3
         assert fault.moment == (1.0, -2.0, 3.0)
         signs.add(tuple(np.sign(fault.force)))
-        phases += list(np.atleast_1d(tb.PlateHum().sample(3, rng).phase or 0.0))
+        phases += list(np.atleast_1d(tb.PlateHum().with_random_values(3, rng).phase or 0.0))
     assert len(signs) == 8
     every = np.sort(phases)
     assert np.diff(every, append=every[0] + 2 * np.pi).max() < 0.3  # all around, six at a time
-    assert tb.PlateHum(phase=1.0).sample(3, rng).phase == 1.0
-    by_name = tb.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(NAMES)
+    assert tb.PlateHum(phase=1.0).with_random_values(3, rng).phase == 1.0
+    by_name = tb.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).for_robot(NAMES)
     assert by_name.amplitude == (1e-3, 0.0, 0.0)
     assert by_name.period == (2 * np.pi, 2 * np.pi, 0.01)

@@ -15,10 +15,10 @@ import pytest
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.importing.check.assessment import assess
+from testbed.importing.check.assessment import assess_recording
 from testbed.sensors import catalogue, errors
-from testbed.sensors.kind_reader import error_of
-from testbed.sensors.kinds_in_words import in_words
+from testbed.sensors.kind_reader import sensor_error_from_table
+from testbed.sensors.kinds_in_words import describe_kind
 from testbed.sensors.sensor_error import SensorError
 from tests.helpers.foreign_files import imported, npz, some_log
 from tests.helpers.measured import measured
@@ -29,9 +29,9 @@ CLASS = '''
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from testbed.sensors.kind_table import SIGN, PerChannel
+from testbed.sensors.kind_table import RANDOM_SIGN, PerChannel
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.systematic_error import PlateError, of_channels
+from testbed.sensors.systematic_error import PlateError, channel_coefficients
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class PlateGainDrift(PlateError):
     """
 
     kind: ClassVar[str] = "plate_gain_drift"
-    fixed: ClassVar = of_channels("plate_gain_drift", ["1/s"] * 6)
+    fixed: ClassVar = channel_coefficients("plate_gain_drift", ["1/s"] * 6)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
-    rate: Annotated[PerChannel, SIGN] = 1e-3
+    rate: Annotated[PerChannel, RANDOM_SIGN] = 1e-3
 
     @classmethod
     def effect(cls, signal, time, values):
@@ -80,26 +80,36 @@ def test_one_file_adds_one_error_everywhere(drift: type[SensorError], tmp_path: 
     wrench, time = good.measured("wrench"), good.time
     bad = replace(good, wrench=wrench * (1 + RATE * centred(time) * fx))
     table = {"kind": KIND, "rate": [RATE, 0, 0, 0, 0, 0]}
-    shown = error_of(table).apply(wrench, time, np.random.default_rng(0))
+    shown = sensor_error_from_table(table).apply(wrench, time, np.random.default_rng(0))
     np.testing.assert_allclose(shown, wrench * (1 + RATE * time[:, None] * fx), rtol=1e-14)
     plain = tb.identify(tree, bad)
     assert KIND in {each.family for each in plain.model_errors}
     found = tb.identify(tree, bad, terms=[KIND])
     number = {each.name: each for each in found.nuisances}[f"{KIND}/Fx"]
     assert abs(number.value - RATE) < 4 * number.sigma < 0.1 * RATE
-    proposed = [each for each in assess(tree, bad).diagnostics if each.code == "plate.sensor-error"]
+    proposed = [
+        each
+        for each in assess_recording(tree, bad).diagnostics
+        if each.code == "plate.sensor-error"
+    ]
     assert [each.causes for each in proposed] == [(KIND,)]
     assert f'[errors] "{KIND}/Fx" = ' in proposed[0].remedy
-    assert not any(each.code == "plate.sensor-error" for each in assess(tree, good).diagnostics)
-    assert in_words(drift).summary.startswith("Sensitivities that drift")
+    assert not any(
+        each.code == "plate.sensor-error" for each in assess_recording(tree, good).diagnostics
+    )
+    assert describe_kind(drift).summary.startswith("Sensitivities that drift")
     # simulated from time 0, proposed from the middle on, relative to the gain there
     late = replace(good, wrench=wrench * (1 + RATE * time[:, None] * np.eye(6)[2]))
-    line = next(d.remedy for d in assess(tree, late).diagnostics if d.code == "plate.sensor-error")
+    line = next(
+        d.remedy for d in assess_recording(tree, late).diagnostics if d.code == "plate.sensor-error"
+    )
     value = float(line.partition('/Fz" = ')[2].partition(",")[0])
     gain = 1 + RATE * time.mean()
     assert value == pytest.approx(RATE / gain, rel=0.005)
     back = wrench * (1 + RATE * time[:, None] * np.eye(6)[2]) / (1 + value * centred(time))
-    again = assess(tree, replace(good, wrench=np.where(np.eye(6)[2], back / gain, wrench)))
+    again = assess_recording(
+        tree, replace(good, wrench=np.where(np.eye(6)[2], back / gain, wrench))
+    )
     assert not any(each.code.startswith("plate.") for each in again.diagnostics)
     log = some_log()
     text = f'errors = {{ "{KIND}/Fx" = 0.1 }}\n' + npz(tmp_path, log)

@@ -20,23 +20,23 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.windows import motion_taps, row_weights
 from testbed.core.kernel import compiler, gram, numba_engine, numpy_engine
 from testbed.core.kernel.compiler import compiled_folder
-from testbed.core.kernel.layout import Layout, layout
-from testbed.core.kernel.records import NB, Signals, Sums
+from testbed.core.kernel.layout import Layout, make_layout
+from testbed.core.kernel.records import NB, SignalWindow, Sums
 from testbed.core.kernel.rows import sine_cosine
-from testbed.core.parameters.rules import Model
-from testbed.core.robot.free_root import on_free_base
-from testbed.core.robot.friction import LAWS, joint_terms
+from testbed.core.parameters.rules import Signal
+from testbed.core.robot.free_root import with_free_base
+from testbed.core.robot.friction import JOINT_LAWS, joint_terms
 from tests.helpers.paths import ROOT
 from tests.helpers.sensors import random_cut
 from tests.helpers.strategies import Rng, few, rngs, trees
 
 SAMPLES = 700
 UNIT = np.array([[1.0], [0.0], [0.0]])
-models: st.SearchStrategy[Model] = st.sampled_from(["dynamic", "reaction"])
+models: st.SearchStrategy[Signal] = st.sampled_from(["torque", "wrench"])
 any_trees = trees((1, 9), bare=True)
 
 
-def some_signals(found: Layout, rng: Rng, encoders: bool, filtered: bool) -> Signals:
+def some_signals(found: Layout, rng: Rng, encoders: bool, filtered: bool) -> SignalWindow:
     n, rate = found.tree.n, 200.0
     taps = motion_taps(rate, 40.0) if encoders else UNIT
     weights = row_weights(rate, 5.0) if filtered else np.ones(1)
@@ -44,11 +44,11 @@ def some_signals(found: Layout, rng: Rng, encoders: bool, filtered: bool) -> Sig
     t = np.arange(SAMPLES)[:, None] / rate
     q = sum(s * np.sin((k + 1) * t + s) for k, s in enumerate(rng.uniform(-1, 1, (3, n))))
     qd, qdd = rng.uniform(-2, 2, (2, 0 if encoders else SAMPLES, n))
-    measured = rng.normal(size=(SAMPLES, found.width))
+    measured = rng.normal(size=(SAMPLES, found.channel_count))
     count = (SAMPLES - 2 * reach - 1) // step + 1
-    still = 0.5 if found.model == "dynamic" else 0.0
+    still = 0.5 if found.model == "torque" else 0.0
     near = int(rng.integers(3)) * len(weights) // 4
-    return Signals(q, qd, qdd, measured, taps, weights, still, near, reach, step, count)
+    return SignalWindow(q, qd, qdd, measured, taps, weights, still, near, reach, step, count)
 
 
 def close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
@@ -66,21 +66,21 @@ def lower(found: Layout, sums: Sums) -> Array:
 @few(40)
 @given(any_trees, models, rngs, st.tuples(*[st.booleans()] * 3))
 def test_compiled_and_plain_engine_say_the_same(
-    tree: tb.Tree, model: Model, rng: Rng, how: tuple[bool, ...]
+    tree: tb.Tree, model: Signal, rng: Rng, how: tuple[bool, ...]
 ) -> None:
     """Encoders or sensed kinematics, filtered or not; a base that moves, a cut."""
     encoders, filtered, free = how
-    if model == "reaction" and rng.random() < 0.5:
+    if model == "wrench" and rng.random() < 0.5:
         tree = random_cut(tree, rng)
     elif free:
-        tree = on_free_base(tree)
-    terms = joint_terms(tree, LAWS) if model == "dynamic" else ()
-    found = layout(tree, tb.minimal_set(tree, model), terms)
+        tree = with_free_base(tree)
+    terms = joint_terms(tree, JOINT_LAWS) if model == "torque" else ()
+    found = make_layout(tree, tb.minimal_set(tree, model), terms)
     signals = some_signals(found, rng, encoders, filtered)
-    fast = numba_engine.sweep(found, signals, numba_engine.workspace(found, signals))
+    fast = numba_engine.row_products(found, signals, numba_engine.workspace(found, signals))
     made = numpy_engine.rows(found, signals)
-    slow = numpy_engine.sweep(found, signals, made)
-    np.testing.assert_array_equal(fast.used, slow.used)
+    slow = numpy_engine.row_products(found, signals, made)
+    np.testing.assert_array_equal(fast.row_counts, slow.row_counts)
     tolerance = 1e-11 if encoders else 1e-12  # differences magnify rounding by the rate squared
     close(lower(found, fast), lower(found, slow), tolerance)
     assert len(gram.sweep.signatures) == 1  # compiled once for every robot
@@ -102,20 +102,22 @@ def test_the_kernel_is_right_on_processors_without_wide_vectors(tmp_path: Path) 
 
 @few(40)
 @given(any_trees, models, st.booleans(), rngs)
-def test_rows_are_the_minimal_regressor(tree: tb.Tree, model: Model, zeros: bool, rng: Rng) -> None:
+def test_rows_are_the_minimal_regressor(
+    tree: tb.Tree, model: Signal, zeros: bool, rng: Rng
+) -> None:
     """Each channel's columns, then its measurement; none stands twice; of a cut's sensor, too."""
-    if model == "reaction" and rng.random() < 0.5:
+    if model == "wrench" and rng.random() < 0.5:
         tree = random_cut(tree, rng)
     q, qd, qdd = rng.uniform(-2, 2, (3, 100, tree.n))
     minimal = tb.minimal_set(tree, model, zeros=zeros)
     expected = tb.regressor(tree, tb.Motion(np.arange(100.0), q, qd, qdd), minimal)
-    found = layout(tree, minimal)
-    none = np.zeros((len(q), found.width))
-    signals = Signals(q, qd, qdd, none, UNIT, np.ones(1), 0.0, 0, 0, 1, len(q))
+    found = make_layout(tree, minimal)
+    none = np.zeros((len(q), found.channel_count))
+    signals = SignalWindow(q, qd, qdd, none, UNIT, np.ones(1), 0.0, 0, 0, 1, len(q))
     made = numba_engine.rows(found, signals, numba_engine.workspace(found, signals))
     z = np.hstack([block.rows for block in made])
     scale = np.abs(expected).max(initial=1.0) * max(1.0, np.abs(found.basis).max(initial=0.0))
-    for c, columns in enumerate(found.channels):
+    for c, columns in enumerate(found.channel_columns):
         at = found.rows.start[c]
         got = z[at : at + len(columns)].T @ found.basis[columns]
         assert np.abs(got - expected[:, c]).max(initial=0.0) <= 5e-15 * scale

@@ -26,7 +26,7 @@ def test_the_figures_of_the_readme_are_those_of_its_experiment() -> None:
         for name, torques, plate in re.findall(row, (ROOT / "README.md").read_text(), re.MULTILINE)
     }
     wanted: dict[str, list[float | None]] = {name: [] for name in said}
-    for method in ("internal", "external"):
+    for method in ("torque", "wrench"):
         accuracy, errors = run.score.accuracy[method], run.score.errors[method]
         middle = np.nanmedian(np.abs(errors.relative[: run.estimates[method].minimal.count]))
         wanted["prediction"].append(accuracy.torque)

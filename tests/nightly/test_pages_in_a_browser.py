@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from testbed.core.recordings.recording import Truth
-from testbed.view.viewer.live import Live
+from testbed.view.viewer.live import LiveViewer
 from tests.helpers.browser import axe, browser, complaints
 from tests.helpers.pages import OTHERS, RUNS, page
 from tests.helpers.site import built, navigation
@@ -135,7 +135,7 @@ def test_the_viewer_has_nothing_to_complain_about(name: str, tmp_path: Path) -> 
         assert (tmp_path / "shot.png").stat().st_size > 50_000
         run = scene(name).run
         if run.recording.truth is not None:  # and while it happens
-            live = Live(run.name, scene(name).appearance, port)
+            live = LiveViewer(run.name, scene(name).appearance, port)
             for part in (slice(0, 1000), slice(1000, 2000)):
                 whole = {k: v for k, v in vars(run.recording.truth).items() if v is not None}
                 piece = {k: values[part] for k, values in whole.items()}

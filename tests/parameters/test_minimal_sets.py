@@ -18,30 +18,35 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import motion_in, own_torque
-from testbed.bodies.prior import THINNEST, Prior, prior_of
+from testbed.applications.prediction import joint_term_torque, longest_segment_motion
+from testbed.bodies.prior import MIN_PRIOR_MOMENT_RATIO, PriorBodies, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ModelError, UnknownName
-from testbed.core.dynamics.drive_set import drive_set
-from testbed.core.dynamics.rank_check import sampled_regressor, verify, verify_drives
-from testbed.core.parameters.elimination import dense_rows, static_entries
-from testbed.core.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
-from testbed.core.parameters.pseudo_inertia import matrices
-from testbed.core.parameters.regroup import length_symbol, regroup
-from testbed.core.parameters.rules import REASONS, Model
+from testbed.core.dynamics.drive_set import make_drive_set
+from testbed.core.dynamics.rank_check import sampled_regressor, verify_drive_set, verify_minimal_set
+from testbed.core.parameters.elimination import barycentric_rows, static_wrench_parameters
+from testbed.core.parameters.identifiability import (
+    IDENTIFIABLE_ALONE,
+    IDENTIFIABLE_IN_COMBINATION,
+    NOT_IDENTIFIABLE,
+    identifiability,
+)
+from testbed.core.parameters.pseudo_inertia import pseudo_inertias
+from testbed.core.parameters.regroup import length_symbol, regroup_bodies
+from testbed.core.parameters.rules import RULE_REASONS, Signal
 from testbed.core.parameters.symbols import (
     Symbol,
+    barycentric_from_standard,
     component_symbol,
-    on_standard,
+    forms_on_standard,
     parameter_names,
     parameter_symbols,
-    to_barycentric,
-    to_standard,
+    standard_from_barycentric,
 )
-from testbed.core.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS
-from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.friction import COULOMB, JOINT_LAWS, OFFSET, ROTOR, VISCOUS
+from testbed.core.robot.inertia import ZERO_INERTIA, Inertia
 from testbed.core.robot.joint_law import JointLaw
-from testbed.core.robot.rigid_matter import SMALL
+from testbed.core.robot.rigid_matter import POINT_MASS_RADIUS_RATIO
 from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
@@ -52,14 +57,14 @@ from tests.helpers.robots import Robot, random_robot, with_zeros
 from tests.helpers.strategies import Rng, few, rngs, robots, seeds, trees
 
 UNCHANGED = 1e-11  # relative change of the model by regrouping; lifts of short lengths are large
-MODELS: tuple[Model, ...] = ("dynamic", "reaction")
+MODELS: tuple[Signal, ...] = ("torque", "wrench")
 CATALOGUE = json.loads((GOLDEN / "counts.json").read_text())
 OFF = np.zeros(3)
 
 
 def all_sets(tree: Tree, zeros: bool | list[str] = False) -> list[tb.MinimalSet]:
     """Dynamic, bedplate and tared bedplate."""
-    given_ = [("dynamic", False), ("reaction", False), ("reaction", True)]
+    given_ = [("torque", False), ("wrench", False), ("wrench", True)]
     return [tb.minimal_set(tree, m, None, zeros, tared=t) for m, t in given_]  # type: ignore[arg-type]
 
 
@@ -77,11 +82,11 @@ def hold(tree: Tree, zeros: bool | list[str] = False) -> None:
         np.testing.assert_allclose(minimal.standard_matrix @ standard, delta, atol=1e-12 * size)
         again = minimal.values(minimal.lift @ delta)
         np.testing.assert_allclose(again, delta, rtol=0, atol=1e-11 * size)
-        found = verify(tree, minimal)
-        assert found.holds, found
+        found = verify_minimal_set(tree, minimal)
+        assert found.agrees, found
         assert found.change <= UNCHANGED
-    drives = verify_drives(tree, tb.with_joint_terms(tree, dynamic, LAWS))
-    assert drives.holds, drives
+    drives = verify_drive_set(tree, tb.with_joint_terms(tree, dynamic, JOINT_LAWS))
+    assert drives.agrees, drives
 
 
 @pytest.mark.slow
@@ -111,22 +116,22 @@ def test_three_witnesses_agree_on_any_tree(seed: int, most: int, floats: bool, z
 
 @few(10)
 @given(rngs, st.sampled_from(MODELS))
-def test_the_right_set_is_confirmed_and_another_robots_is_not(rng: Rng, model: Model) -> None:
+def test_the_right_set_is_confirmed_and_another_robots_is_not(rng: Rng, model: Signal) -> None:
     """Each witness alone speaks up."""
     tree, other = (random_robot(rng, 5).tree() for _ in range(2))
-    minimal = tb.minimal_set(tree, model, tared=model == "reaction")
-    found = verify(tree, minimal)
-    assert found.holds
+    minimal = tb.minimal_set(tree, model, tared=model == "wrench")
+    found = verify_minimal_set(tree, minimal)
+    assert found.agrees
     assert found.rules == found.recursion == found.sampled == minimal.count
     assert max(found.recursion_distance, found.sampled_distance) < 1e-9
-    wrong = verify(tree, tb.minimal_set(other, model))
-    assert not wrong.holds
+    wrong = verify_minimal_set(tree, tb.minimal_set(other, model))
+    assert not wrong.agrees
     assert wrong.rules != wrong.recursion or wrong.recursion_distance > 1e-3
     assert wrong.rules != wrong.sampled or wrong.sampled_distance > 1e-3
     assert wrong.change > 1e-3
     for spoiled in ("recursion_distance", "sampled_distance", "change", "inverse"):
-        assert not replace(found, **{spoiled: 1e-3}).holds  # type: ignore[arg-type]
-    assert not replace(found, gap=999.0).holds
+        assert not replace(found, **{spoiled: 1e-3}).agrees  # type: ignore[arg-type]
+    assert not replace(found, gap=999.0).agrees
 
 
 # known robots
@@ -164,20 +169,20 @@ def test_the_pumas_sets_are_the_papers(puma: Tree, golden: Any) -> None:
 
 
 def test_units_and_reasons_of_a_puma_with_general_bodies(puma: Tree) -> None:
-    reaction = tb.minimal_set(puma, "reaction")
-    assert set(reaction.reasons) == {"5.1", "5.2", "base"} <= set(REASONS)
-    assert set(reaction.never) == {"mb1z", "K1xx", "K1xy", "K1yy", "mbar2", "mbar3"}
+    reaction = tb.minimal_set(puma, "wrench")
+    assert set(reaction.reasons) == {"5.1", "5.2", "base"} <= set(RULE_REASONS)
+    assert set(reaction.unidentifiable) == {"mb1z", "K1xx", "K1xy", "K1yy", "mbar2", "mbar3"}
     units = {"mbar": "kg", "mb": "kg m", "mb*": "kg m", "K": "kg m^2", "K*": "kg m^2"}
     stems = (re.match(r"(?:2\*)?([A-Za-z]+\*?)", name) for name in reaction.names)
     assert reaction.units == tuple(units[stem[1]] for stem in stems if stem)
-    tared = tb.minimal_set(puma, "reaction", tared=True)
+    tared = tb.minimal_set(puma, "wrench", tared=True)
     assert set(reaction.names) - set(tared.names) == {"mbar1"}
     given_ = [f"{p}{k}{x}" for k in (1, 2, 3) for p, x in (("mb", "x"), ("K", "xy"), ("K", "xz"))]
     for model in MODELS:  # a user's zeros are as good as the file's
         wanted = tb.minimal_set(puma, model, zeros=True).names
         assert tb.minimal_set(puma, model, zeros=given_).names == wanted
     with pytest.raises(UnknownName, match="mb9x"):
-        tb.minimal_set(puma, "dynamic", zeros=["mb9x"])
+        tb.minimal_set(puma, "torque", zeros=["mb9x"])
 
 
 # traps
@@ -187,7 +192,7 @@ def test_axes_that_look_alike_are_told_apart() -> None:
     """Tilted by rounding; inclined."""
     rounded = chain(("revolute", (1e-12, 0.0, 1.0)), ("revolute", Y))
     assert [tb.minimal_set(rounded, m).count for m in MODELS] == [8, 13]
-    inclined = tb.minimal_set(chain(("revolute", Z), ("revolute", (0.6, 0.0, 0.8))), "dynamic")
+    inclined = tb.minimal_set(chain(("revolute", Z), ("revolute", (0.6, 0.0, 0.8))), "torque")
     assert {"mb2u", "mb2v", "K2ww", "2*K2d", "K2uv"} <= set(inclined.names)
     axes = inclined.triads[1].axes
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
@@ -198,17 +203,17 @@ def test_moments_that_are_all_rounding_are_zero() -> None:
     """A file's zero may be 1e-17: small against a mass at a distance of the body's size."""
     inertia = tb.Inertia.about_centre(2.0, np.array([1e-17, 0.0, 0.0]), np.eye(3) * 0.1)
     tree = replace(chain(("revolute", Z)), inertias=(inertia,))
-    minimal = tb.minimal_set(tree, "reaction", zeros=True)
+    minimal = tb.minimal_set(tree, "wrench", zeros=True)
     known = set(np.array(parameter_names(tree))[minimal.known_zero.ravel()].tolist())
     assert known == {"mb1x", "mb1y", "mb1z", "K1xy", "K1xz", "K1yz"}
 
 
-models: st.SearchStrategy[Model] = st.sampled_from(["dynamic", "reaction"])
+models: st.SearchStrategy[Signal] = st.sampled_from(["torque", "wrench"])
 
 
 @few(40)
 @given(st.one_of(trees((1, 7)), trees((1, 7), bare=True)), rngs, models, st.booleans())
-def test_formulas_state_the_matrix(tree: tb.Tree, rng: Rng, model: Model, zeros: bool) -> None:
+def test_formulas_state_the_matrix(tree: tb.Tree, rng: Rng, model: Signal, zeros: bool) -> None:
     """Each, evaluated on random parameters, gives S theta; what is known to be zero is not named.
 
     Auxiliary ones come before what refers to them, once each, and only where they are needed.
@@ -222,13 +227,15 @@ def test_formulas_state_the_matrix(tree: tb.Tree, rng: Rng, model: Model, zeros:
             known[length_symbol(joint.parent, j, x).text] = float(length)
     for formula in minimal.auxiliary:
         assert formula.left.text not in known
-        known[formula.left.text] = evaluate(formula.said, known)
+        known[formula.left.text] = evaluate(formula.right_text, known)
     for formula, value in zip(minimal.formulas, minimal.values(theta), strict=True):
-        assert evaluate(formula.said, known) == pytest.approx(value, abs=1e-4), formula  # 6 digits
+        assert evaluate(formula.right_text, known) == pytest.approx(value, abs=1e-4), (
+            formula
+        )  # 6 digits
     both = (*minimal.formulas, *minimal.auxiliary)
     named = {term.symbol for formula in both for term in formula.right}
-    told = {label.symbols[0] for label in minimal.labels if label.times == 1}
-    starred = {s for s in named if isinstance(s, Symbol) and s.star}
+    told = {label.symbols[0] for label in minimal.labels if label.multiple == 1}
+    starred = {s for s in named if isinstance(s, Symbol) and s.is_redefined}
     assert starred - told == {formula.left.symbols[0] for formula in minimal.auxiliary}
     assert minimal.names == tuple(label.text for label in minimal.labels)
 
@@ -243,14 +250,14 @@ def evaluate(text: str, known: dict[str, float]) -> float:
 
 
 def test_formulas_of_the_puma_are_the_papers(puma: tb.Tree) -> None:
-    minimal = tb.minimal_set(puma, "reaction", zeros=True)
+    minimal = tb.minimal_set(puma, "wrench", zeros=True)
     said = {str(formula) for formula in (*minimal.formulas, *minimal.auxiliary)}
     assert {
         *("K*1yz = K1yz - l12z*mb*2y", "mb*1y = mb1y + mb*2y", "mb*2y = mb2y + mb3y"),
         *("K*2yz = K2yz - l23z*mb3y", "2*K3d = K3xx - K3zz", "K*1zz = K1zz + K*2xx/2 + K*2zz/2"),
         "K*2xx = K2xx + K3xx/2 + K3zz/2",
     } <= said
-    numbers = map(str, tb.minimal_set(puma, "dynamic", zeros=True).formulas_with("numbers"))
+    numbers = map(str, tb.minimal_set(puma, "torque", zeros=True).formulas_with("numbers"))
     assert "K*2yz = K2yz - 0.4318*mb3y" in numbers
     latex = {f.left.text: f.latex() for f in minimal.formulas}
     assert latex["K*1yz"] == r"K^{*1}_{yz} = K^{1}_{yz} - l^{12}_{z}\,m\!b^{*2}_{y}"
@@ -273,10 +280,10 @@ def test_standard_parameters_are_pinocchios_and_invertible(robot: Robot, rng: Rn
     """In Pinocchio's order: else a mass that is printed is another one to every other program."""
     tree = robot.tree()
     rows, parameters = rng.normal(size=(3, 10 * tree.n)), rng.normal(size=(tree.n, 10))
-    back = to_standard(tree, to_barycentric(tree, parameters))
+    back = standard_from_barycentric(tree, barycentric_from_standard(tree, parameters))
     np.testing.assert_allclose(back, parameters, rtol=0, atol=1e-12)
-    said = rows @ to_barycentric(tree, parameters).ravel()
-    np.testing.assert_allclose(on_standard(tree, rows) @ parameters.ravel(), said, atol=1e-11)
+    said = rows @ barycentric_from_standard(tree, parameters).ravel()
+    np.testing.assert_allclose(forms_on_standard(tree, rows) @ parameters.ravel(), said, atol=1e-11)
     model = pin.buildModelFromXML(robot.urdf())
     for k, name in enumerate(tree.names):
         theirs = model.inertias[model.getJointId(name)].toDynamicParameters()
@@ -288,9 +295,9 @@ def test_standard_parameters_are_pinocchios_and_invertible(robot: Robot, rng: Rn
 
 def beside_a_pedestal(tree: tb.Tree, tared: tb.MinimalSet) -> Array:
     """What is told with an unknown mass and two moments on the plate, (k, 3 + 10 n)."""
-    bodies = regroup(tree, "reaction", tree.gravity)
-    entries = static_entries(tree, tree.gravity) if tree.gravity.any() else []
-    static = np.where(tared.known_zero.ravel(), 0.0, dense_rows(tree, bodies, entries))
+    bodies = regroup_bodies(tree, "wrench", tree.gravity)
+    entries = static_wrench_parameters(tree, tree.gravity) if tree.gravity.any() else []
+    static = np.where(tared.known_zero.ravel(), 0.0, barycentric_rows(tree, bodies, entries))
     own = np.eye(3)[: len(static)]
     return np.block([[np.zeros((tared.count, 3)), tared.matrix], [own, static]])
 
@@ -299,37 +306,39 @@ def levels_by_orthonormal_rows(rows: Array) -> Array:
     basis = np.linalg.qr(rows.T)[0]
     inside = np.linalg.norm(basis, axis=1) > 1e-9
     outside = np.linalg.norm(np.eye(len(basis)) - basis @ basis.T, axis=0) > 1e-9
-    return np.where(outside, np.where(inside, COMBINED, NEVER), ALONE)
+    return np.where(
+        outside, np.where(inside, IDENTIFIABLE_IN_COMBINATION, NOT_IDENTIFIABLE), IDENTIFIABLE_ALONE
+    )
 
 
 @pytest.mark.slow
 @given(st.one_of(trees((1, 7)), trees((1, 7), bare=True)), st.booleans())
 def test_the_map_is_that_of_the_row_space(tree: tb.Tree, zeros: bool) -> None:
     """A unit parameter is outside of it, has a part in it, or is in it, told by a dense basis."""
-    torques, plate = (tb.minimal_set(tree, m, zeros=zeros) for m in ("dynamic", "reaction"))
-    tared = tb.minimal_set(tree, "reaction", zeros=zeros, tared=True)
+    torques, plate = (tb.minimal_set(tree, m, zeros=zeros) for m in ("torque", "wrench"))
+    tared = tb.minimal_set(tree, "wrench", zeros=zeros, tared=True)
     rows = [torques.matrix, plate.matrix, tared.matrix, beside_a_pedestal(tree, tared)]
     seen = identifiability(tree, None, zeros)
     for found, told in zip(seen, rows, strict=True):
         others = told.shape[1] - 10 * tree.n
-        standard = np.hstack([told[:, :others], on_standard(tree, told[:, others:])])
+        standard = np.hstack([told[:, :others], forms_on_standard(tree, told[:, others:])])
         assert found.count == len(told)
         wanted = levels_by_orthonormal_rows(standard)[others:]
         np.testing.assert_array_equal(found.standard.ravel(), wanted)
     by_torques, by_plate, by_tared, _ = (each.standard for each in seen)
     assert (by_plate >= np.maximum(by_torques, by_tared)).all()  # it sees whatever others see
     if not zeros:
-        size = np.abs(sampled_regressor(tree, "dynamic")).max(axis=0)
-        never = levels_by_orthonormal_rows(torques.matrix) == NEVER
+        size = np.abs(sampled_regressor(tree, "torque")).max(axis=0)
+        never = levels_by_orthonormal_rows(torques.matrix) == NOT_IDENTIFIABLE
         np.testing.assert_array_equal(size < 1e-9 * max(size.max(), 1e-9), never)
 
 
 # bodies before the data
 
 
-def central(prior: Prior, body: int) -> Array:
+def central(prior: PriorBodies, body: int) -> Array:
     """Second moments about the mass centre, (3, 3) [kg m^2]."""
-    found = matrices(prior.standard[body])
+    found = pseudo_inertias(prior.standard[body])
     return np.asarray(found[:3, :3] - np.outer(found[:3, 3], found[:3, 3]) / found[3, 3])
 
 
@@ -340,12 +349,14 @@ def test_bodies_before_the_data_are_the_files_or_the_nearest_that_can_be(puma: t
     point = Inertia.about_centre(2.0, [0.0, 0.3, 0.4], np.zeros((3, 3)))
     here = Inertia.about_centre(3.0, np.zeros(3), np.zeros((3, 3)))
     odd = Inertia(0.0, np.array([0.1, 0.0, 0.0]), np.diag([0.1, 0.2, 0.25]))
-    reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in puma.joints))
+    reach = max(
+        POINT_MASS_RADIUS_RATIO, *(float(np.linalg.norm(joint.offset)) for joint in puma.joints)
+    )
     for bodies, masses, named in (
         (thick, [2.0, 4.0, 6.0], ()),
-        ((thick[0], NOTHING, thick[2]), [2.0, 0.0, 6.0], (1,)),
+        ((thick[0], ZERO_INERTIA, thick[2]), [2.0, 0.0, 6.0], (1,)),
         ((thick[0], odd, thick[2]), [2.0, 4.0, 6.0], (1,)),
-        ((NOTHING,) * 3, [1.0, 1.0, 1.0], ()),
+        ((ZERO_INERTIA,) * 3, [1.0, 1.0, 1.0], ()),
         ((point, here, thick[2]), [2.0, 3.0, 6.0], (0, 1)),
     ):
         tree = replace(puma, inertias=bodies)
@@ -355,24 +366,24 @@ def test_bodies_before_the_data_are_the_files_or_the_nearest_that_can_be(puma: t
         assert all(
             any(puma.joints[k].body in each.text for each in found.diagnostics) for k in named
         )
-        for k in found.massive:
+        for k in found.massive_bodies:
             sizes = np.linalg.eigvalsh(central(found, k))
-            assert sizes[0] >= 0.99 * THINNEST * sizes[-1] > 0
+            assert sizes[0] >= 0.99 * MIN_PRIOR_MOMENT_RATIO * sizes[-1] > 0
             if bodies[k] in thick:
                 np.testing.assert_allclose(found.standard[k], tb.standard(tree)[k], atol=1e-12)
     for k, away in ((0, 0.5), (1, reach)):  # a tenth of its distance, or of the robot's lengths
         radius = np.sqrt(np.trace(central(found, k)) / found.standard[k, 0])
-        assert radius == pytest.approx(SMALL * away, rel=1e-6)
+        assert radius == pytest.approx(POINT_MASS_RADIUS_RATIO * away, rel=1e-6)
     np.testing.assert_allclose(found.standard[0, :4], [2.0, 0.0, 0.6, 0.8], atol=1e-9)
 
 
-ASKED = ((ROTOR,), (OFFSET,), (OFFSET, ROTOR), LAWS)
+ASKED = ((ROTOR,), (OFFSET,), (OFFSET, ROTOR), JOINT_LAWS)
 
 
 def drives(tree: Tree, *laws: str | JointLaw, zeros: bool | Sequence[str] = False) -> tb.DriveSet:
     """What can be told, which sampled columns confirm."""
-    found = drive_set(tree, tb.minimal_set(tree, "dynamic", zeros=zeros), laws)
-    assert verify_drives(tree, found).holds
+    found = make_drive_set(tree, tb.minimal_set(tree, "torque", zeros=zeros), laws)
+    assert verify_drive_set(tree, found).agrees
     return found
 
 
@@ -382,7 +393,7 @@ def turning(*axes: np.ndarray) -> Tree:
 
 @given(trees(), st.sampled_from(ASKED))
 def test_sampled_columns_have_the_rank_of_the_set(tree: Tree, laws: tuple[JointLaw, ...]) -> None:
-    assert verify_drives(tree, drives(tree, *laws)).change < 1e-11
+    assert verify_drive_set(tree, drives(tree, *laws)).change < 1e-11
     friction = drives(tree, COULOMB, VISCOUS, OFFSET)  # these are always told apart
     assert friction.terms == friction.asked
     assert not friction.regrouped
@@ -409,8 +420,8 @@ def test_unknowns_of_the_puma_have_names_formulas_units_and_values(puma: Tree) -
     cubic = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3, None)
     ones_own = drives(puma, cubic, "rotor").names[-4:]
     assert ones_own == ("cubic/waist", "cubic/shoulder", "cubic/elbow", "rotor/elbow")
-    with refuses(ValueError, "reaction"):
-        tb.with_joint_terms(puma, tb.minimal_set(puma, "reaction"), ["rotor"])
+    with refuses(ValueError, "wrench"):
+        tb.with_joint_terms(puma, tb.minimal_set(puma, "wrench"), ["rotor"])
 
 
 def test_what_tells_a_rotor_or_a_shaft_from_the_bodies_and_from_each_other() -> None:
@@ -451,18 +462,18 @@ def test_what_a_shaft_takes_is_found_and_foretold(rng: Rng) -> None:
     turn[some] = rng.uniform(0.5, 2, 2) * rng.choice([-1, 1], 2)
     tree = with_shafts(tree, {"shaft": {tree.names[k]: float(turn[k]) for k in some}})
     clean = ideal(tree, seed=int(rng.integers(100)))
-    motion, _ = motion_in(clean)
+    motion, _ = longest_segment_motion(clean)
     speed, faster = motion.qd @ turn, motion.qdd @ turn
     rubs = (1.5 * np.sign(speed) + 0.7 * speed + 0.2 * faster)[:, None] * turn
     terms = [f"{kind}/shaft" for kind in ("coulomb", "viscous", "rotor")]
     asked = replace(EXACT, terms=terms, deadband=0.0)
-    found = tb.identify(tree, plus(clean, torque=rubs), "internal", settings=asked)
+    found = tb.identify(tree, plus(clean, torque=rubs), "torque", settings=asked)
     assert found.drives is not None
     truth = found.drives.values(tb.barycentric(tree), tree)
     truth = truth + found.drives.columns @ [1.5, 0.7, 0.2]
     assert np.abs(found.values - truth).max() <= 1e-8 * np.abs(truth).max()
     if "rotor/shaft" in found.names:  # else a body holds it
-        np.testing.assert_allclose(own_torque(motion, found), rubs, atol=1e-6)
+        np.testing.assert_allclose(joint_term_torque(motion, found), rubs, atol=1e-6)
 
 
 def test_what_is_no_shaft_or_no_term_is_refused() -> None:

@@ -25,17 +25,23 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.views import with_base_joints
-from testbed.core.robot.free_base import FREE, coordinates, poses
-from testbed.core.robot.rotations import to_rpy
-from testbed.importing.check.assessment import assess
+from testbed.core.robot.free_base import N_BASE_COORDINATES, base_coordinates, base_poses
+from testbed.core.robot.rotations import matrix_to_rpy
+from testbed.importing.check.assessment import assess_recording
 from testbed.importing.check.check import check_recording
-from testbed.importing.check.plate import AS_READ, PLATE_ORDERS
-from testbed.importing.check.plate_frame import frame_of
-from testbed.importing.check.remedies import Hypothesis, corrected, merge, remedies_for, with_lines
-from testbed.importing.check.time_offset import TimeOffset, alignment
-from testbed.importing.foreign_table import FORCES, MOMENTS
+from testbed.importing.check.plate import ORDER_AS_READ, PLATE_ORDERS
+from testbed.importing.check.plate_frame import plate_frame_of
+from testbed.importing.check.remedies import (
+    Hypothesis,
+    corrected_positions,
+    mapping_with_lines,
+    merge_hypotheses,
+    remedies_for,
+)
+from testbed.importing.check.time_offset import TimeOffset, alignment_lines
+from testbed.importing.foreign_table import FORCE_UNITS, MOMENT_UNITS
 from testbed.importing.mapping import WrenchTable
-from testbed.importing.signal_maps import wrench_of
+from testbed.importing.signal_maps import wrench_from_columns
 from tests.helpers.foreign_files import npz, some_log
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
@@ -144,7 +150,7 @@ def near(said: Any, wanted: Any) -> bool:
 def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) -> None:
     name, lacks, spoil, wanted = WRONG[mistake]
     tree, recording = right(name, lacks)
-    found = assess(tree, spoil(recording))
+    found = assess_recording(tree, spoil(recording))
     lines = [line for each in found.remedies for line in each.lines]
     assert [line[:2] for line in lines] == [line[:2] for line in wanted]
     for (_, _, value), (_, _, expected) in zip(lines, wanted, strict=True):
@@ -155,7 +161,7 @@ def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) ->
         else:
             assert near(value, expected), (value, expected)
     with pytest.raises(RecordingError) as refused:
-        found.require()
+        found.raise_errors()
     assert all(f"[{table}] {key}" in str(refused.value) for table, key, _ in wanted)
     assert "\n" not in str(refused.value)
 
@@ -165,15 +171,15 @@ def test_zeros_that_data_do_not_decide_are_named() -> None:
     """Some of a wrist without a plate; with one, none; nor the shoulder's."""
     tree, recording = right("tx40")
     for joint, angle in ((2, -QUARTER), (3, QUARTER), (4, QUARTER)):
-        found = assess(tree, of_joint(joint, zero=angle)(recording))
-        assert (found.certain, found.remedies) == ((), ())
+        found = assess_recording(tree, of_joint(joint, zero=angle)(recording))
+        assert (found.errors, found.remedies) == ((), ())
         (said,) = found.diagnostics
         assert (said.code, said.level) == ("recording.undecided", "info")
         assert tree.names[joint] in said.subject
         assert tree.names[1] not in said.subject
-    (said,) = assess(tree, of_joint(1, zero=QUARTER)(recording)).diagnostics
+    (said,) = assess_recording(tree, of_joint(1, zero=QUARTER)(recording)).diagnostics
     assert said.subject == "joint 'joint_2'"  # not the elbow, as if masses were far off
-    assert assess(*right("ur5")).diagnostics == ()
+    assert assess_recording(*right("ur5")).diagnostics == ()
 
 
 @pytest.mark.slow
@@ -181,18 +187,18 @@ def test_torques_that_are_none_and_exchanged_joints_are_refused() -> None:
     """On the motors' side, or currents; columns of other joints; a plate of another robot."""
     tree, recording = right("puma", "wrench")
     for factors in ((1 / 50, 1 / 80), (1 / 8, 1 / 11)):
-        (found,) = assess(tree, torques(*factors)(recording)).certain
+        (found,) = assess_recording(tree, torques(*factors)(recording)).errors
         assert "side" in found.remedy
         assert "gain" in found.remedy
-    (found,) = assess(tree, torques(1000, 1000)(recording)).certain
+    (found,) = assess_recording(tree, torques(1000, 1000)(recording)).errors
     assert "[torque] unit" in found.remedy
-    kinds = {each.kind for each in assess(tree, exchanged(recording)).remedies}
+    kinds = {each.kind for each in assess_recording(tree, exchanged(recording)).remedies}
     assert kinds == {"position_order", "torque_order"}
     other = robot("random")
     alien = measured(other, 2, duration=12.0)
     both = replace(right("puma")[1], torque=None)
     with pytest.raises(RecordingError):
-        assess(tree, replace(both, wrench=alien.measured("wrench"))).require()
+        assess_recording(tree, replace(both, wrench=alien.measured("wrench"))).raise_errors()
 
 
 @pytest.mark.slow
@@ -208,8 +214,8 @@ def test_rough_masses_alone_refuse_nothing(seed: int, name: str) -> None:
         tb.Inertia(i.mass * x, i.first_moment * x, i.tensor * (x if whole else 1))
         for i, x in zip(tree.inertias, factors, strict=True)
     )
-    assert assess(replace(tree, inertias=tuple(scaled)), recording).certain == ()
-    sizes = assess(tree, recording).sizes
+    assert assess_recording(replace(tree, inertias=tuple(scaled)), recording).errors == ()
+    sizes = assess_recording(tree, recording).torque_scales
     if name != "tx40":
         np.testing.assert_allclose(sizes[np.isfinite(sizes)], 1, atol=0.2)
 
@@ -221,7 +227,9 @@ def test_a_plate_turned_by_any_angle_is_found_in_either_sense(seed: int, sense: 
     tree, recording = right("ur5")
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     wrench = recording.measured("wrench").reshape(-1, 2, 3) @ turn
-    remedies = assess(tree, replace(recording, wrench=sense * wrench.reshape(-1, 6))).remedies
+    remedies = assess_recording(
+        tree, replace(recording, wrench=sense * wrench.reshape(-1, 6))
+    ).remedies
     assert [each.kind for each in remedies] == ["turn", *["sense"] * (sense < 0)]
     told = Rotation.from_euler("xyz", remedies[0].values).as_matrix()
     np.testing.assert_allclose(told, turn, atol=5e-3)
@@ -233,9 +241,9 @@ def test_a_plate_that_mixes_its_channels_needs_a_matrix_and_no_cure() -> None:
     scale = np.repeat([1.0, 0.1], 3)
     mixing = np.eye(6) + 0.1 * np.random.default_rng(5).normal(size=(6, 6))
     mixed = recording.measured("wrench") @ (mixing * np.outer(scale, 1 / scale)).T
-    found = assess(tree, replace(recording, wrench=mixed))
+    found = assess_recording(tree, replace(recording, wrench=mixed))
     assert found.remedies == ()
-    assert [each.code for each in (*found.certain, *found.likely)] == ["plate.crosstalk"]
+    assert [each.code for each in (*found.errors, *found.warnings)] == ["plate.crosstalk"]
 
 
 @pytest.mark.slow
@@ -245,14 +253,14 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
 
     def checked(signals: dict[str, Any], lacks: str = "") -> Any:
         changed = replace(recording, **signals)
-        found = assess(tree, without(changed, lacks) if lacks else changed)
+        found = assess_recording(tree, without(changed, lacks) if lacks else changed)
         assert found.remedies == ()
         return found
 
     for signal, channel in (("position", tree.names[2]), ("wrench", "Fz")):
         values = np.array(recording.measured(signal))
         values[700, 2] += 10 * np.ptp(values[:, 2])
-        (said,) = checked({signal: values}).certain
+        (said,) = checked({signal: values}).errors
         assert said.causes == ("spikes",)
         assert channel in said.subject
         assert f"{recording.time[700]:.6g} s" in said.text
@@ -266,10 +274,10 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
         for name in ("position", "torque", "wrench")
     }
     found = checked({"wrench": still["wrench"]})
-    assert [each.subject for each in found.certain] == ["the plate"]
+    assert [each.subject for each in found.errors] == ["the plate"]
     found = checked(still)
-    assert found.certain == ()
-    assert [each.subject for each in found.likely] == ["the robot"]
+    assert found.errors == ()
+    assert [each.subject for each in found.warnings] == ["the robot"]
 
 
 @pytest.mark.slow
@@ -283,8 +291,8 @@ def test_signs_of_a_joint_that_carries_nearly_nothing_are_told_apart() -> None:
         (of_joint(6, position=-1), np.rad2deg(1.0), ["degrees", "position_sign"]),
     ):
         wrong = spoil(recording)
-        found = assess(made.tree, replace(wrong, position=wrong.position * unit))
-        assert found.certain
+        found = assess_recording(made.tree, replace(wrong, position=wrong.position * unit))
+        assert found.errors
         assert [each.kind for each in found.remedies] == kinds
 
 
@@ -295,8 +303,8 @@ def test_a_joint_that_rests_indeed_is_none_with_a_dead_encoder() -> None:
     recording = tb.Recording(
         made.tree.names, time, made.position, made.torque, made.wrench, tare=np.zeros(6)
     )
-    found = assess(made.tree, recording)
-    assert (found.certain, found.likely, found.remedies) == ((), (), ())
+    found = assess_recording(made.tree, recording)
+    assert (found.errors, found.warnings, found.remedies) == ((), (), ())
     (rests,) = (each for each in found.diagnostics if each.code == "position.held")
     assert made.tree.names[3] in rests.subject
 
@@ -330,7 +338,7 @@ def test_a_robot_on_a_base_that_moves_is_held_against_its_model_as_others_are() 
     scaled = (tb.Inertia(i.mass * x, i.first_moment * x, i.tensor * x)
               for i, x in zip(free.inertias, factors, strict=True))  # fmt: skip
     rough = replace(free, inertias=tuple(scaled))
-    assert assess(rough, with_base_joints(recording)).certain == ()
+    assert assess_recording(rough, with_base_joints(recording)).errors == ()
     sides = {f"plates.{name}": {"sense": "on_robot", "units": ["N", "N m"]} for name in "lr"}
     plates = {"plates": {name[7:]: said for name, said in sides.items()}}
     cases: list[tuple[Spoil, dict[str, Any], list[tuple[str, str, Any]]]] = [
@@ -341,19 +349,22 @@ def test_a_robot_on_a_base_that_moves_is_held_against_its_model_as_others_are() 
     ]
     for spoil, mapping, wanted in cases:
         told = Metadata(mapping={"joints": list(recording.names), **mapping})
-        found = assess(free, with_base_joints(replace(spoil(recording), metadata=told)))
+        found = assess_recording(free, with_base_joints(replace(spoil(recording), metadata=told)))
         assert [line for each in found.remedies for line in each.lines] == wanted
-        assert found.certain
+        assert found.errors
     welded = tb.Tree(
         free.name,
-        tuple(replace(j, parent=max(j.parent - FREE, -1)) for j in free.joints[FREE:]),
-        free.inertias[FREE:],
+        tuple(
+            replace(j, parent=max(j.parent - N_BASE_COORDINATES, -1))
+            for j in free.joints[N_BASE_COORDINATES:]
+        ),
+        free.inertias[N_BASE_COORDINATES:],
     )
     with pytest.raises(RecordingError) as refused:
         check_recording(welded, recording)
     assert "robot.base=measured" in str(refused.value)
-    turns = np.random.default_rng(0).uniform(-1.3, 1.3, (50, FREE))
-    np.testing.assert_allclose(coordinates(poses(turns)), turns, atol=1e-12)
+    turns = np.random.default_rng(0).uniform(-1.3, 1.3, (50, N_BASE_COORDINATES))
+    np.testing.assert_allclose(base_coordinates(base_poses(turns)), turns, atol=1e-12)
 
 
 JOINTS = ("elbow", "waist", "shoulder")
@@ -393,12 +404,12 @@ def test_a_mapping_with_its_cures_makes_the_positions_right(
         del mapping["position"]["sign"]
     wanted = mapped(raw, mapping["position"])
     for each in mistakes:
-        wanted = corrected(each, wanted, np.zeros(3))
-    together = merge(mistakes)
+        wanted = corrected_positions(each, wanted, np.zeros(3))
+    together = merge_hypotheses(mistakes)
     assert len({each.kind for each in together}) == len(together)
     for said in (mistakes, together):
         remedies = remedies_for(robot("puma"), list(said), np.ones(3), np.zeros(3), mapping, 3)
-        cured = with_lines(mapping, [line for each in remedies for line in each.lines])
+        cured = mapping_with_lines(mapping, [line for each in remedies for line in each.lines])
         np.testing.assert_allclose(mapped(raw, cured["position"]), wanted, atol=1e-4)
 
 
@@ -416,20 +427,20 @@ def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, tu
 
     def made(table: dict[str, Any]) -> Array:
         read = WrenchTable.model_validate(table)
-        return wrench_of(read, np.column_stack([by_name[name] for name in read.columns]))
+        return wrench_from_columns(read, np.column_stack([by_name[name] for name in read.columns]))
 
-    frame, orders = frame_of(mapping), (AS_READ, *PLATE_ORDERS)
+    frame, orders = plate_frame_of(mapping), (ORDER_AS_READ, *PLATE_ORDERS)
     for _ in range(10):
-        turn = Rotation.random(rng=rng).as_matrix() @ frame.turn
-        units = (rng.choice([*FORCES]), rng.choice([*MOMENTS]))
+        turn = Rotation.random(rng=rng).as_matrix() @ frame.rotation
+        units = (rng.choice([*FORCE_UNITS]), rng.choice([*MOMENT_UNITS]))
         order = orders[rng.integers(len(orders))]
         hypotheses = (
             Hypothesis("plate_order", (), order),
             Hypothesis("units", (), units),
-            Hypothesis("turn", (), to_rpy(turn)),
+            Hypothesis("turn", (), matrix_to_rpy(turn)),
         )
         remedies = remedies_for(robot("ur5"), hypotheses, np.ones(6), np.ones(6), mapping, 0)
-        said = with_lines(mapping, [line for each in remedies for line in each.lines])
+        said = mapping_with_lines(mapping, [line for each in remedies for line in each.lines])
         wanted = made(given) @ frame.map(turn, units, order).T
         scale = np.abs(wanted).max()
         np.testing.assert_allclose(made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * scale)
@@ -443,7 +454,9 @@ def test_delays_that_were_found_are_added_to_those_that_the_mapping_knew(tmp_pat
 
     def aligned(text: str, signal: str, delay: float, skew: float = 0.0) -> Any:
         offset = TimeOffset(signal, delay, 1e-5, skew, 1e-7, 10.0, 0.5, 0.01)
-        return with_lines(tomllib.loads(text), alignment(offset, tomllib.loads(text), {}))
+        return mapping_with_lines(
+            tomllib.loads(text), alignment_lines(offset, tomllib.loads(text), {})
+        )
 
     found = aligned(text, "wrench", 0.003, 1e-4)
     assert found["wrench"]["delay"] == 0.003

@@ -15,12 +15,12 @@ import testbed as tb
 from benchmarks.inverse_recordings import truth
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
-from testbed.importing.check.assessment import assess
+from testbed.importing.check.assessment import assess_recording
 from testbed.importing.check.check import check_recording, import_and_check
-from testbed.importing.check.draft_mapping import ASSUMED, missing
+from testbed.importing.check.draft_mapping import ASSUMED_NOTE, missing_keys
 from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.check.time_offset import time_offsets
-from testbed.importing.guess import guessed
+from testbed.importing.guess import guess_mapping
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.riding import riding
 from tests.helpers.robots import random_robot
@@ -46,12 +46,12 @@ def test_a_late_plate_and_late_torques_are_found(name: str, late: float) -> None
     rounded = replace(spoiled, position=np.nextafter(spoiled.position, np.inf))
     found, again = time_offsets(tree, spoiled), time_offsets(tree, rounded)
     for each, other, wanted in zip(found, again, (late, late / 2), strict=True):
-        assert (each.late, each.drifts) == (True, False)
+        assert (each.is_late, each.is_drifting) == (True, False)
         assert abs(each.delay - wanted) < max(2e-5, 5 * each.sigma)
         assert abs(each.delay - other.delay) < 1e-5 * each.sigma
     fast = replace(recording, torque=None, wrench=shifted(wrench, time, 5e-3 * (time - 10)))
     (plate,) = time_offsets(tree, fast)
-    assert not plate.drifts
+    assert not plate.is_drifting
 
 
 def test_sigma_of_a_delay_is_honest() -> None:
@@ -60,7 +60,7 @@ def test_sigma_of_a_delay_is_honest() -> None:
     for seed in range(6):
         tree = random_robot(np.random.default_rng(seed), 3).tree()
         recording = measured(tree, seed, duration=10.0, rate=200.0)
-        found += [(each.delay / each.sigma, each.late) for each in time_offsets(tree, recording)]
+        found += [(each.delay / each.sigma, each.is_late) for each in time_offsets(tree, recording)]
     z = np.array([value for value, _ in found])
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.8
     assert not any(late for _, late in found)
@@ -77,13 +77,13 @@ def test_a_plate_whose_clock_is_off_by_far_is_no_other_robot(late: float, degree
         recording, time=recording.time[: len(wrench)], wrench=wrench,
         position=recording.position[inside] * (180 / np.pi if degrees else 1),
     )  # fmt: skip
-    found = assess(tree, read)
+    found = assess_recording(tree, read)
     assert [each.kind for each in found.remedies] == ["late", *["degrees"] * degrees]
     ((table, key, value),) = found.remedies[0].lines
     assert (table, key) == ("wrench", "delay")
     assert value == pytest.approx(late, abs=5e-3)
     with pytest.raises(RecordingError):
-        found.require()
+        found.raise_errors()
     if not degrees:
         (clock,) = check_recording(tree, read, align=True).offsets
         assert clock.delay == pytest.approx(late, abs=max(1e-3, 5 * clock.sigma))
@@ -130,7 +130,7 @@ def two_sources(folder: Path, tree: tb.Tree, late: float, skew: float) -> Path:
 def error(tree: tb.Tree, recording: tb.Recording) -> float:
     """Rms of the external estimate's errors, each in parts of its unit's largest parameters."""
     settings = tb.Settings(model_errors=False)  # which would take a wrong clock out
-    estimate = tb.identify(tree, recording, "external", settings=settings)
+    estimate = tb.identify(tree, recording, "wrench", settings=settings)
     values = tb.fit(estimate.normal_equations).values  # plain weighted least squares
     true = estimate.minimal.values(tb.barycentric(tree))
     units = np.array(estimate.units)
@@ -147,7 +147,7 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     wrong = error(tree, tb.import_recording(path))
     (recording,), cuts, found = import_and_check(path, lambda each: (tree, each), align=True)
     (clock,) = found.offsets
-    assert (cuts, clock.drifts) == ([], True)
+    assert (cuts, clock.is_drifting) == ([], True)
     assert clock.skew == pytest.approx(-SKEW, abs=5 * clock.skew_sigma)
     said = path.read_text().replace('"s"', f'"s"\noffset = {-LATE}\nskew = {SKEW}', 1)
     path.write_text(said)
@@ -155,7 +155,7 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     assert error(tree, tb.import_recording(path)) < 1.2 * perfect
     assert error(tree, recording) < 1.2 * perfect
     (left,) = time_offsets(tree, recording)
-    assert (left.late, left.drifts) == (False, False)
+    assert (left.is_late, left.is_drifting) == (False, False)
     assert check_recording(tree, recording).offsets == ()  # what was accepted is not held again
 
 
@@ -174,13 +174,13 @@ def test_currents_get_torque_constants_by_the_plate_and_rest_leaves_all_assumed(
         columns |= dict(zip(names, made.wrench.T, strict=True))
         np.savez(tmp_path / "log.npz", **columns)  # type: ignore[arg-type]
         folder = tmp_path / "not/yet"
-        draft = guessed([tmp_path / "log.npz"], folder, made.tree.names)
+        draft = guess_mapping([tmp_path / "log.npz"], folder, made.tree.names)
         found = solve_mapping(draft, folder / "mapping.toml", made.tree)
         if moving:
             np.testing.assert_allclose(found.draft.tables["torque"]["gain"], constants, rtol=0.1)
         else:
             assert found.diagnostics
-            assert found.draft.notes["position", "unit"].startswith(ASSUMED)
+            assert found.draft.key_comments["position", "unit"].startswith(ASSUMED_NOTE)
 
 
 def test_places_of_several_plates_on_the_ground_are_asked(tmp_path: Path) -> None:
@@ -194,9 +194,9 @@ def test_places_of_several_plates_on_the_ground_are_asked(tmp_path: Path) -> Non
             f"plate{plate}_{n}": each for n, each in zip(AXES, part * wrench.T, strict=True)
         }
     np.savez(tmp_path / "log.npz", **columns)
-    draft = guessed([tmp_path / "log.npz"], tmp_path, made.names)
+    draft = guess_mapping([tmp_path / "log.npz"], tmp_path, made.names)
     found = solve_mapping(draft, tmp_path / "mapping.toml", tree).draft
-    assert missing(found) == [f"plates.plate_{k}.place" for k in range(2)]
+    assert missing_keys(found) == [f"plates.plate_{k}.place" for k in range(2)]
 
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -207,6 +207,6 @@ def test_plates_of_equal_columns_in_two_files_stay_two(tmp_path: Path) -> None:
     for name in ("left", "right"):
         columns: dict[str, Any] = {axis: np.arange(10.0) for axis in ("t", *AXES)}
         np.savez(tmp_path / f"{name}.npz", **columns)
-    draft = guessed([tmp_path / "left.npz", tmp_path / "right.npz"], tmp_path)
+    draft = guess_mapping([tmp_path / "left.npz", tmp_path / "right.npz"], tmp_path)
     plates = {name: keys["source"] for name, keys in draft.tables.items() if "plates." in name}
     assert plates == {"plates.left": "left", "plates.right": "right"}

@@ -18,12 +18,12 @@ from benchmarks.planted_recordings import simulated
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.dynamics.newton_euler import Motion, joint_forces
-from testbed.core.estimation.evidence import ChannelProducts, evidence
-from testbed.core.parameters.symbols import to_barycentric, with_standard
-from testbed.core.recordings.views import on_its_base
-from testbed.importing.check.assessment import Assessment, assess
+from testbed.core.estimation.evidence import ChannelProducts, linear_evidence
+from testbed.core.parameters.symbols import barycentric_from_standard, with_standard_parameters
+from testbed.core.recordings.views import adapt_to_robot
+from testbed.importing.check.assessment import Assessment, assess_recording
 from testbed.importing.check.body_prior import body_prior
-from testbed.importing.check.gravity_readings import AXES
+from testbed.importing.check.gravity_readings import GRAVITY_DIRECTIONS
 from testbed.importing.check.torque_products import torque_products
 from testbed.importing.check.torque_signals import TorqueSignals, torque_signals
 from tests.helpers.measured import measured
@@ -46,7 +46,7 @@ def test_evidence_is_that_of_the_dense_normal_distribution(rng: np.random.Genera
         np.full(channels, float(samples)),
     )  # fmt: skip
     none = np.zeros(channels)
-    found = evidence(products, none, np.ones(channels), variance, rounds=1)
+    found = linear_evidence(products, none, np.ones(channels), variance, iterations=1)
     dense = np.zeros((channels * samples, shared + channels * local))
     for k in range(channels):
         rows = slice(k * samples, (k + 1) * samples)
@@ -54,15 +54,17 @@ def test_evidence_is_that_of_the_dense_normal_distribution(rng: np.random.Genera
         dense[rows, shared + k * local : shared + (k + 1) * local] = columns[k, :, shared:]
     noise = np.repeat(variance, samples)
     covariance = dense @ dense.T + np.diag(noise)
-    assert found.log == pytest.approx(multivariate_normal(cov=covariance).logpdf(measured.ravel()))
+    assert found.log_evidence == pytest.approx(
+        multivariate_normal(cov=covariance).logpdf(measured.ravel())
+    )
     posterior = np.linalg.inv(np.eye(dense.shape[1]) + dense.T / noise @ dense)
     mean = posterior @ (dense.T / noise @ measured.ravel())
-    np.testing.assert_allclose(found.shared, mean[:shared], atol=1e-9)
-    np.testing.assert_allclose(found.local.ravel(), mean[shared:], atol=1e-9)
+    np.testing.assert_allclose(found.shared_mean, mean[:shared], atol=1e-9)
+    np.testing.assert_allclose(found.local_mean.ravel(), mean[shared:], atol=1e-9)
     extra = rng.normal(size=(channels, samples, 2))
     residual = measured - np.einsum("ctp,cp->ct", columns, found.coefficients)
     cross = columns.transpose(0, 2, 1) @ extra
-    gradient, information = found.marginal(
+    gradient, information = found.additional_gradient(
         cross, extra.transpose(0, 2, 1) @ extra, (residual[:, None] @ extra)[:, 0]
     )
     flat = extra.reshape(-1, 2)
@@ -86,21 +88,21 @@ def test_products_of_any_gravity_are_those_of_columns_made_under_it(
     free = torque_products(tree, signals, prior, size).products(gravity)
     fixed = torque_products(tree, signals, prior, size, gravity).products(gravity)
     noise = np.ones(tree.n), np.ones(tree.n)
-    one, other = (evidence(each, *noise, rounds=1) for each in (free, fixed))
-    assert one.log == pytest.approx(other.log, rel=1e-6)
-    np.testing.assert_allclose(one.residual, other.residual, rtol=1e-5, atol=1e-6)
+    one, other = (linear_evidence(each, *noise, iterations=1) for each in (free, fixed))
+    assert one.log_evidence == pytest.approx(other.log_evidence, rel=1e-6)
+    np.testing.assert_allclose(one.residual_squares, other.residual_squares, rtol=1e-5, atol=1e-6)
     motion = Motion(np.arange(float(len(signals.q))), signals.q, signals.qd, signals.qdd)
     torque = joint_forces(tree, motion, gravity)
-    bodies = to_barycentric(tree, (prior.root @ prior.mean).reshape(tree.n, 10)).ravel()
+    bodies = barycentric_from_standard(tree, (prior.root @ prior.mean).reshape(tree.n, 10)).ravel()
     assert np.isfinite(bodies).all()
-    square = evidence(replace(fixed, moment=0 * fixed.moment), *noise, rounds=1)
-    assert square.residual.shape == (torque.shape[1],)
+    square = linear_evidence(replace(fixed, moment=0 * fixed.moment), *noise, iterations=1)
+    assert square.residual_squares.shape == (torque.shape[1],)
 
 
 def judged(name: str, mount: str, fault: str, seed: int) -> tuple[Assessment, tb.Tree, Array]:
     """What is said of a planted log; its robot and gravity by direction."""
     case = simulated(name, "mount", mount, fault, seed)
-    return assess(case.tree, case.real), case.tree, np.array(case.right["gravity"]) / 9.81
+    return assess_recording(case.tree, case.real), case.tree, np.array(case.right["gravity"]) / 9.81
 
 
 @pytest.mark.slow
@@ -111,7 +113,7 @@ def test_where_gravity_points_is_found_without_a_word_of_it(name: str, mount: st
     (remedy,) = (each for each in found.remedies if each.kind == "gravity")
     direction = np.array(remedy.values) / np.linalg.norm(remedy.values)
     assert np.rad2deg(np.arccos(np.clip(direction @ true, -1, 1))) < 1.5
-    assert found.certain
+    assert found.errors
     assert "gravity" in sentences(found.diagnostics)[0]
 
 
@@ -137,10 +139,10 @@ def test_gravity_that_a_driver_subtracts_is_named_and_no_parameter_is_made_up() 
 def test_without_any_masses_gravity_and_senses_are_found_all_the_same() -> None:
     """A file of kinematics alone."""
     case = simulated("ur5", "mount", "wall +x", "", 34)
-    bare = with_standard(case.tree, np.zeros((case.tree.n, 10)))
-    found = assess(bare, case.real)
+    bare = with_standard_parameters(case.tree, np.zeros((case.tree.n, 10)))
+    found = assess_recording(bare, case.real)
     (remedy,) = (each for each in found.remedies if each.kind == "gravity")
-    assert np.linalg.norm(np.array(remedy.values) / 9.81 - AXES["wall +x"]) < 0.1
+    assert np.linalg.norm(np.array(remedy.values) / 9.81 - GRAVITY_DIRECTIONS["wall +x"]) < 0.1
 
 
 @pytest.mark.slow
@@ -151,10 +153,10 @@ def test_torques_of_three_joints_that_a_driver_scales_twice_are_named() -> None:
     scaled = replace(
         recording, wrench=None, tare=None, torque=recording.measured("torque") * factors
     )
-    codes = {each.code for each in assess(tree, scaled).diagnostics}
+    codes = {each.code for each in assess_recording(tree, scaled).diagnostics}
     assert codes & {"torque.factors", "torque.contradiction"}
     right = replace(recording, wrench=None, tare=None)
-    codes = {each.code for each in assess(tree, right).diagnostics}
+    codes = {each.code for each in assess_recording(tree, right).diagnostics}
     assert not codes & {"torque.factors", "torque.contradiction"}
 
 
@@ -166,7 +168,9 @@ def test_a_delay_is_taken_back_to_the_sample() -> None:
     np.testing.assert_allclose(signals.delayed(0.0), signals.torque)
     samples = 4
     later = signals.delayed(samples / signals.rate)
-    np.testing.assert_allclose(later, signals.filtered[signals.at + samples], atol=1e-9)
+    np.testing.assert_allclose(
+        later, signals.low_passed_torque[signals.sample_indices + samples], atol=1e-9
+    )
 
 
 def test_torques_without_the_files_gravity_are_the_drives_again() -> None:
@@ -180,6 +184,6 @@ def test_torques_without_the_files_gravity_are_the_drives_again() -> None:
         torque=recording.measured("torque") - weight,
         metadata=replace(recording.metadata, mapping=mapping),
     )
-    again = on_its_base(on_its_base(compensated, tree), tree)
+    again = adapt_to_robot(adapt_to_robot(compensated, tree), tree)
     np.testing.assert_allclose(again.measured("torque"), recording.measured("torque"))
     assert (again.metadata.mapping or {})["torque"] == {"unit": "N m"}

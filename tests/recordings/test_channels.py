@@ -18,7 +18,7 @@ from testbed.core.estimation.identify import identify
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.channels import channel_faults
 from testbed.core.recordings.metadata import Metadata
-from testbed.importing.check.assessment import assess
+from testbed.importing.check.assessment import assess_recording
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.strategies import few, seeds, trees
@@ -119,10 +119,10 @@ def test_samples_that_are_left_out_may_hold_anything(engine: str) -> None:
     for value in (0.0, 7.5):
         torque = made.measured("torque")[:, 2].copy()
         torque[400:700] = value
-        problem = Problem.of(tree, of_joint(made, 2, torque), "torque", settings)
-        assert [each.name for each in problem.faults] == [tree.names[2]]
+        problem = Problem.from_recording(tree, of_joint(made, 2, torque), "torque", settings)
+        assert [each.name for each in problem.channel_faults] == [tree.names[2]]
         found.append(problem.equations(problem.passes(1, whole=True)))
-    whole = Problem.of(tree, made, "torque", settings)
+    whole = Problem.from_recording(tree, made, "torque", settings)
     every = whole.equations(whole.passes(1, whole=True))
     np.testing.assert_array_equal(found[0].normal, found[1].normal)
     np.testing.assert_array_equal(found[0].right, found[1].right)
@@ -139,7 +139,7 @@ def test_engines_make_the_same_rows_where_samples_are_left_out() -> None:
     spoiled, _ = planted(made, "limit, both sides, 30 %", 3)
     both = []
     for settings in (tb.Settings(engine="numpy"), tb.Settings(engine="compiled")):
-        problem = Problem.of(tree, spoiled, "torque", settings)
+        problem = Problem.from_recording(tree, spoiled, "torque", settings)
         both.append(problem.equations(problem.passes(1, whole=True)))
     size = np.abs(both[0].normal).max()
     np.testing.assert_allclose(both[0].normal, both[1].normal, atol=1e-9 * size)
@@ -182,18 +182,18 @@ def test_channels_are_left_out_by_name_and_unknown_ones_refused() -> None:
     """A pattern that names nothing would leave nothing out, unnoticed."""
     made, tree = sound("ur5", 1), tb.load_tree(ROOT / "tests/golden/robots/ur5.urdf")
     settings = tb.Settings(leave_out=("torque/*1",))
-    problem = Problem.of(tree, made, "torque", settings)
+    problem = Problem.from_recording(tree, made, "torque", settings)
     used = problem.equations(problem.passes(1, whole=True)).used
     assert used[tree.index("j1")] == 0
     assert np.count_nonzero(used) == tree.n - 1
     with pytest.raises(UnknownName, match="torque/elbow"):
-        Problem.of(tree, made, "torque", tb.Settings(leave_out=("torque/elbow",)))
+        Problem.from_recording(tree, made, "torque", tb.Settings(leave_out=("torque/elbow",)))
 
 
 def test_the_check_of_a_log_names_its_channels_first() -> None:
     """What may follow from them comes after."""
     made, tree = sound("ur5", 1), tb.load_tree(ROOT / "tests/golden/robots/ur5.urdf")
     spoiled, fault = planted(made, "limit, both sides, 30 %", 3)
-    first = assess(tree, spoiled).diagnostics[0]
+    first = assess_recording(tree, spoiled).diagnostics[0]
     assert first.code == "torque-column.clipped"
     assert fault.rpartition(" ")[2] in first.subject

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.repeats import held_share, without_repeated_poses
+from testbed.core.recordings.repeats import interpolate_repeated_poses, repeated_sample_share
 from testbed.core.recordings.source import open_source
-from testbed.importing.convert import pieces
-from testbed.importing.foreign_table import TIMES
+from testbed.importing.convert import import_recordings
+from testbed.importing.foreign_table import TIME_UNITS
 from testbed.importing.mapping import SourceTable
-from testbed.importing.resampling import low_pass_reach, onto_grid
+from testbed.importing.resampling import filter_half_length, resample_to_grid
 from testbed.importing.source_clock import sample_times
 from tests.helpers.foreign_files import imported, mapping
 from tests.helpers.refusals import refuses
@@ -89,9 +89,9 @@ def test_offsets_skews_and_delays_are_taken_back_on_a_common_grid(logs: Logs) ->
 def test_what_the_grid_cannot_hold_does_not_fold_into_it(frequency: float) -> None:
     """Witness: the sine itself, below two thirds of Nyquist's frequency; nothing above it."""
     time = np.arange(0, 2, 1 / 2000)
-    reach = low_pass_reach(2000, 200)
+    reach = filter_half_length(2000, 200)
     grid = np.arange(reach, 2 - reach - 1e-3, 1 / 200)
-    found = onto_grid(time, np.sin(2 * np.pi * frequency * time)[:, None], 2000, grid)[:, 0]
+    found = resample_to_grid(time, np.sin(2 * np.pi * frequency * time)[:, None], 2000, grid)[:, 0]
     if frequency < 66:
         np.testing.assert_allclose(found, np.sin(2 * np.pi * frequency * grid), atol=5e-4)
     if frequency > 110:
@@ -123,7 +123,7 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
         assert logs.off(plate="drop_held = true") < logs.off() / 100
     moving = rng.normal(size=(500, 2))
     rests = np.concatenate([moving, np.repeat(moving[-1:], 200, axis=0), moving])
-    assert held_share(rests) == 0.0
+    assert repeated_sample_share(rests) == 0.0
 
 
 def test_gaps_are_bridged_or_cut_and_time_that_repeats_or_runs_back_is_named(logs: Logs) -> None:
@@ -145,7 +145,7 @@ def test_gaps_are_bridged_or_cut_and_time_that_repeats_or_runs_back_is_named(log
     silent = (long > 2) & (long < 3.5) | (long > 3.7) & (long < 5)
     logs.write(long[~silent], long[(long < 7.5) | (long > 8)])
     whole = logs.recording()
-    parts, said = pieces(logs.folder / "map.toml")
+    parts, said = import_recordings(logs.folder / "map.toml")
     for part, segment in zip(parts, whole.segments, strict=True):
         np.testing.assert_array_equal(whole.part(*segment).position, part.position)
     assert [*whole.metadata.diagnostics] == said
@@ -169,17 +169,19 @@ def test_times_are_in_the_units_of_file_or_mapping_and_whole_ones_keep_all_digit
 ) -> None:
     """Since 1970, where floating-point seconds would be a quarter of a microsecond apart."""
     source = SourceTable(file="log.npz", time="t", time_unit=None if by_file else unit)
-    scale = round(1 / TIMES[unit])  # 0 of minutes
+    scale = round(1 / TIME_UNITS[unit])  # 0 of minutes
     ticks = np.cumsum(rng.integers(1, 5000, 100)) + 1_761_234_567 * scale
     known = unit if by_file else "V"  # what is no unit of time says nothing
     stamps: Any = ticks if scale > 1 else 0.5 * ticks
     found = sample_times("log", source, stamps, known)
     if scale > 1:
         exact = [int(tick) - int(found.start) * scale for tick in ticks]
-        np.testing.assert_allclose(found.since, np.array(exact) / scale, rtol=1e-15, atol=0)
+        np.testing.assert_allclose(
+            found.time_after_start, np.array(exact) / scale, rtol=1e-15, atol=0
+        )
     else:
-        seconds = found.start + np.asarray(found.since)
-        np.testing.assert_allclose(seconds, 0.5 * ticks * TIMES[unit], rtol=1e-15)
+        seconds = found.start + np.asarray(found.time_after_start)
+        np.testing.assert_allclose(seconds, 0.5 * ticks * TIME_UNITS[unit], rtol=1e-15)
 
 
 def recording(position: Array) -> tb.Recording:
@@ -196,7 +198,7 @@ def motion() -> Array:
 def test_a_slow_device_costs_hardly_anything(every: int) -> None:
     """Repeated poses are late by up to its step, which looks like acceleration."""
     shown = np.repeat(motion()[::every], every, axis=0)[:3000]
-    found, share = without_repeated_poses(open_source(recording(shown)))
+    found, share = interpolate_repeated_poses(open_source(recording(shown)))
     assert share == pytest.approx(1 - 1 / every, abs=1e-3)
     apart = found.part(0, found.samples).position - motion()[: found.samples]
     assert np.abs(apart).max() < 1e-3 * np.abs(shown - motion()).max()
@@ -208,4 +210,4 @@ def test_steps_of_an_encoder_and_rests_are_no_slow_device() -> None:
     still = np.where(np.arange(3000)[:, None] % 500 < 250, motion(), motion()[:1])
     for other in (motion(), np.round(motion(), 2), np.round(0.1 * motion(), 3), still):
         source = open_source(recording(other))
-        assert without_repeated_poses(source) == (source, 0.0)
+        assert interpolate_repeated_poses(source) == (source, 0.0)

@@ -14,11 +14,11 @@ from mcap.writer import Writer
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
-from testbed.importing.convert import pieces
+from testbed.importing.convert import import_recordings
 from testbed.importing.foreign_table import ForeignTable
-from testbed.importing.guess import guessed
+from testbed.importing.guess import guess_mapping
 from testbed.importing.known_layouts import LAYOUTS
-from testbed.importing.readers import open_foreign, tables
+from testbed.importing.readers import open_foreign_table, read_tables
 from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, lerobot, some_log
 from tests.helpers.refusals import refuses
 
@@ -31,7 +31,7 @@ def test_episodes_are_recordings_of_their_own(version: str, tmp_path: Path) -> N
     info = tmp_path / "log/meta/info.json"
     said = json.loads(info.read_text())
     info.write_text(json.dumps(said | {"data_path": "../../../../{episode_index.__class__}"}))
-    found, cuts = pieces(tmp_path / "map.toml")
+    found, cuts = import_recordings(tmp_path / "map.toml")
     assert [each.samples for each in found] == [200, 200, 200]
     assert [each.code for each in cuts] == ["import.cut"] * 2
     for k, each in enumerate(found):
@@ -39,13 +39,13 @@ def test_episodes_are_recordings_of_their_own(version: str, tmp_path: Path) -> N
         for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
             np.testing.assert_allclose(each.measured(signal), wanted[rows], atol=1e-4)
     (file, *_) = sorted((tmp_path / "log/data").rglob("*.parquet"))
-    assert open_foreign(file).columns == open_foreign(tmp_path / "log").columns
-    draft = guessed([tmp_path / "log"], tmp_path, JOINTS).tables
+    assert open_foreign_table(file).columns == open_foreign_table(tmp_path / "log").columns
+    draft = guess_mapping([tmp_path / "log"], tmp_path, JOINTS).tables
     assert draft["position"]["columns"] == [f"observation.state/{j}.pos" for j in JOINTS]
     assert draft["torque"]["columns"] == [f"observation.effort/{j}" for j in JOINTS]
     info.write_text(json.dumps(said | {"codebase_version": "v1.6"}))
     with refuses(RecordingError, "v1.6"):
-        open_foreign(tmp_path / "log")
+        open_foreign_table(tmp_path / "log")
 
 
 ARM = "observation/robot_state/"
@@ -106,12 +106,12 @@ def test_a_logger_is_known_by_its_columns(logger: str, tmp_path: Path) -> None:
                 parts = [v for column, v in columns.items() if column.partition("[")[0] == array]
                 data = np.column_stack(parts) if len(parts) > 1 else parts[0]
                 file[array] = data.astype(np.int64) if "timestamp" in array else data
-    found = guessed([tmp_path / name], tmp_path, JOINTS).tables
+    found = guess_mapping([tmp_path / name], tmp_path, JOINTS).tables
     assert {kind: found[kind]["unit"] for kind in units} == units
-    read = open_foreign(tmp_path / name)
+    read = open_foreign_table(tmp_path / name)
     for kind in units:
         listed = found[kind]["columns"]
-        values = np.column_stack([*read.read(listed).values()])
+        values = np.column_stack([*read.column_values(listed).values()])
         np.testing.assert_allclose(values, signals[kind], atol=1e-8)
         wrong = ("Cmd", "target", "Ext", "computed", "_d[", "action", "Sm")
         assert not any(word in column for column in listed for word in wrong)
@@ -131,7 +131,7 @@ def test_the_size_of_positions_shows_degrees_and_counts(tmp_path: Path) -> None:
     for name, (values, unit) in cases.items():
         (tmp_path / name).mkdir()
         lerobot(tmp_path / name, replace(turns, q=values))
-        position = guessed([tmp_path / name / "log"], tmp_path, JOINTS).tables["position"]
+        position = guess_mapping([tmp_path / name / "log"], tmp_path, JOINTS).tables["position"]
         assert position["unit"] == unit, name
         if name == "counts":
             angle = values * 2 * np.pi @ np.array(position["matrix"]) + position["offset"]
@@ -143,11 +143,11 @@ def test_a_topic_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
     log = some_log()
     log.tau[:, 1] = 0.0
     FORMATS["mcap_protobuf"](tmp_path, log)
-    table = open_foreign(tmp_path / "log.mcap", "/joint_states")
-    assert not table.read(["joints/j2/effort"])["joints/j2/effort"].any()
-    assert table.stamps("timestamp")[1] - EPOCH == 10**7
+    table = open_foreign_table(tmp_path / "log.mcap", "/joint_states")
+    assert not table.column_values(["joints/j2/effort"])["joints/j2/effort"].any()
+    assert table.time_stamps("timestamp")[1] - EPOCH == 10**7
     with refuses(RecordingError, "/joint_states", "/plate"):
-        open_foreign(tmp_path / "log.mcap")
+        open_foreign_table(tmp_path / "log.mcap")
     with (tmp_path / "odd.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start()
@@ -160,10 +160,10 @@ def test_a_topic_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
                 data = content if isinstance(content, bytes) else json.dumps(content).encode()
                 writer.add_message(channels[topic], EPOCH + k * 10**7, data, EPOCH)
         writer.finish()  # type: ignore[no-untyped-call]
-    kinds = {topic: type(each) for topic, each in tables(tmp_path / "odd.mcap").items()}
+    kinds = {topic: type(each) for topic, each in read_tables(tmp_path / "odd.mcap").items()}
     assert kinds == {"/odd": RecordingError, "/joints": ForeignTable, "/grows": RecordingError,
                      "/none": ForeignTable}  # fmt: skip
-    draft = guessed([tmp_path / "odd.mcap"], tmp_path, JOINTS).tables
+    draft = guess_mapping([tmp_path / "odd.mcap"], tmp_path, JOINTS).tables
     assert draft["torque"]["columns"] == ["effort/j1", "effort/j2"]
     assert draft[""]["rate"] == 100
 
@@ -183,12 +183,14 @@ def test_what_was_logged_to_rerun_at_other_times_is_another_table(tmp_path: Path
     stream.log("arm", rr.SeriesLines(names="q"), static=True)
     stream.flush()
     stream.disconnect()
-    found = tables(tmp_path / "log.rrd")
+    found = read_tables(tmp_path / "log.rrd")
     assert [*found] == ["arm/position/j1", "plate"]
-    arm = open_foreign(tmp_path / "log.rrd", "arm/position/j2")
+    arm = open_foreign_table(tmp_path / "log.rrd", "arm/position/j2")
     assert set(arm.columns) == {"t", "arm/position/j1", "arm/position/j2"}
-    read = arm.read(arm.columns)
+    read = arm.column_values(arm.columns)
     np.testing.assert_array_equal(read["t"], 1e7 * np.arange(50))
     np.testing.assert_array_equal(read["arm/position/j2"], np.arange(50) + 100)
-    plate = open_foreign(tmp_path / "log.rrd", "plate").read(["plate[5]"])["plate[5]"]
+    plate = open_foreign_table(tmp_path / "log.rrd", "plate").column_values(["plate[5]"])[
+        "plate[5]"
+    ]
     np.testing.assert_array_equal(plate, np.arange(0, 50, 2) + 5)

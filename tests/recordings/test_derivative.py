@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from testbed.core.base.errors import RecordingError
 from testbed.importing.derivative import DerivativeError
-from testbed.importing.foreign_table import UNITS, factor
+from testbed.importing.foreign_table import UNITS_BY_QUANTITY, unit_size
 from testbed.importing.import_report import MappingDraft
 from tests.helpers.foreign_files import imported
 from tests.helpers.ideal import ideal
@@ -23,7 +23,9 @@ from tests.helpers.strategies import few, seeds
 JOINTS = robot("ur5").names
 N = len(JOINTS)
 UNIT = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
-TURNS = [u for u in UNITS["velocity"] if u != "rad/s" and ("m" not in u[:1] or u == "mrad/s")]
+TURNS = [
+    u for u in UNITS_BY_QUANTITY["velocity"] if u != "rad/s" and ("m" not in u[:1] or u == "mrad/s")
+]
 
 
 def log(folder: Path, seed: int = 0, noise: float = 0.0) -> dict[str, Any]:
@@ -95,7 +97,7 @@ def test_which_of_two_is_in_another_unit_is_told_by_their_sizes(tmp_path: Path) 
     wrong = mapping(acceleration={"unit": "deg/s^2"})
     assert cure(tmp_path, wrong) == {"acceleration": {"unit": "rad/s^2"}}
     for was, said in (("rad", "deg"), ("deg", "rad")):
-        both = {kind: data[kind] / factor("position", was) for kind in ("position", "velocity")}
+        both = {kind: data[kind] / unit_size("position", was) for kind in ("position", "velocity")}
         np.savez(tmp_path / "log.npz", **data | both)
         units = {"position": was, "velocity": f"{was}/s"}
         for kind, right in units.items():

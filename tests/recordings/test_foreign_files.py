@@ -26,10 +26,10 @@ from benchmarks.hostile.case import write_files
 from benchmarks.hostile.datasets import TRAPS
 from benchmarks.hostile.logs import LOG_TRAPS, trap
 from testbed.core.base.errors import RecordingError, UnknownName
-from testbed.importing.foreign_table import MOST_COLUMNS, TIMES, ForeignTable
-from testbed.importing.guess import guessed
-from testbed.importing.readers import open_foreign, ros_bag, tables
-from testbed.importing.source_clock import Times
+from testbed.importing.foreign_table import MAX_COLUMNS, TIME_UNITS, ForeignTable
+from testbed.importing.guess import guess_mapping
+from testbed.importing.readers import open_foreign_table, read_tables, ros_bag
+from testbed.importing.source_clock import SourceTimes
 from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, some_log, write_c3d
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few, rngs
@@ -55,7 +55,7 @@ def test_a_format_is_read_back_guessed_and_refused_where_it_is_damaged(
     log = some_log()
     (tmp_path / "map.toml").write_text(FORMATS[name](tmp_path, log))
     file = max(tmp_path.glob("log*"), key=lambda path: (path.is_file(), path.name))
-    (tmp_path / "guess.toml").write_text(filled(guessed([file], tmp_path, JOINTS).text))
+    (tmp_path / "guess.toml").write_text(filled(guess_mapping([file], tmp_path, JOINTS).text))
     for mapping in ("map", "guess")[: 1 if name in ("csv", "c3d") else 2]:  # of columns a, b, c
         found = tb.import_recording(tmp_path / f"{mapping}.toml")
         np.testing.assert_allclose(found.time, log.t, rtol=0, atol=STAMPS)
@@ -94,15 +94,21 @@ def test_tables_of_text_are_read_as_loggers_write_them(tmp_path: Path) -> None:
         (tmp_path / "log.txt").write_bytes(text.encode("latin-1"))
         (tmp_path / "log.csv.gz").write_bytes(gzip.compress(text.encode()))
         for name in ("log.txt", "log.csv.gz"):
-            table = open_foreign(tmp_path / name)
+            table = open_foreign_table(tmp_path / name)
             assert table.columns == tuple(wanted)
-            read = table.read(table.columns)
+            read = table.column_values(table.columns)
             assert {key: values.tolist() for key, values in read.items()} == wanted
     ticks = [1_761_234_567_000_000_001 + 10**7 * k for k in range(4)]  # more digits than doubles
     (tmp_path / "log.csv").write_text("t,q\n" + "".join(f"{tick},1\n" for tick in ticks))
-    assert open_foreign(tmp_path / "log.csv").stamps("t").tolist() == ticks
+    assert open_foreign_table(tmp_path / "log.csv").time_stamps("t").tolist() == ticks
     np.save(tmp_path / "log.npy", np.arange(6.0).reshape(3, 2))
-    assert open_foreign(tmp_path / "log.npy").read(["array[1]"])["array[1]"].tolist() == [1, 3, 5]
+    assert open_foreign_table(tmp_path / "log.npy").column_values(["array[1]"])[
+        "array[1]"
+    ].tolist() == [
+        1,
+        3,
+        5,
+    ]
 
 
 @given(rng=rngs, style=st.sampled_from([(",", "."), (";", ","), ("\t", ".")]), word=st.booleans())
@@ -123,19 +129,19 @@ def test_a_field_that_is_no_number_is_named_by_line_and_column_and_an_empty_one_
     if word:
         number = lines.index(separator.join(rows[row])) + 1
         with refuses(RecordingError, f"line {number}:", f"'{'abcd'[column]}'"):
-            open_foreign(path).read("abcd")
+            open_foreign_table(path).column_values("abcd")
         others = "abcd".replace("abcd"[column], "")
-        assert [*open_foreign(path).read(others)] == [*others]
+        assert [*open_foreign_table(path).column_values(others)] == [*others]
     else:
         numbers[row, column] = np.nan
-        read = open_foreign(path).read(list("abcd"))
+        read = open_foreign_table(path).column_values(list("abcd"))
         np.testing.assert_allclose(np.stack(list(read.values()), axis=1), numbers, atol=1e-6)
 
 
 def test_traps_in_files_are_not_opened(tmp_path: Path) -> None:
     """Pickles, links to other files, arrays larger than memory, words and volumes of MATLAB."""
     np.savez(tmp_path / "log.npz", q=np.arange(3.0), bad=np.array([{}], dtype=object))
-    assert open_foreign(tmp_path / "log.npz").columns == ("q",)
+    assert open_foreign_table(tmp_path / "log.npz").columns == ("q",)
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["secret"] = np.arange(5.0)
     with h5py.File(tmp_path / "log.h5", "w") as file:
@@ -145,14 +151,14 @@ def test_traps_in_files_are_not_opened(tmp_path: Path) -> None:
         file.create_virtual_dataset("virtual", layout)
         file.create_dataset("q", (10**9, 2), "f8", chunks=(1024, 2))
         file.create_dataset("picture", (10**8, 10**8), "f8", chunks=(16, 16))
-    table = open_foreign(tmp_path / "log.h5")
+    table = open_foreign_table(tmp_path / "log.h5")
     assert table.columns == ("q[0]", "q[1]")
     with refuses(RecordingError, "log.h5"):
-        table.read(["q[0]"])
+        table.column_values(["q[0]"])
     content = {"q": np.arange(6.0).reshape(3, 2), "note": "by hand", "volume": np.zeros((2, 2, 2)),
                "log": {"t": np.arange(3.0), "who": "me"}}  # fmt: skip
     savemat(tmp_path / "log.mat", content)
-    columns = {name.split("[")[0] for name in open_foreign(tmp_path / "log.mat").columns}
+    columns = {name.split("[")[0] for name in open_foreign_table(tmp_path / "log.mat").columns}
     assert columns == {"q", "log/t"}
 
 
@@ -163,17 +169,17 @@ def test_files_that_hold_no_log_and_libraries_that_are_missing_are_named(
                        ("a.c3d", b"\2\x50" + bytes(9)), ("a.xls", b"1"), ("a.", b"1")):  # fmt: skip
         (tmp_path / name).write_bytes(data)
         with pytest.raises((RecordingError, UnknownName), match=name[1:]):
-            open_foreign(tmp_path / name)
+            open_foreign_table(tmp_path / name)
     for nothing in (tmp_path, tmp_path / "none.csv"):
         with refuses(RecordingError, nothing.name):
-            open_foreign(nothing)
+            open_foreign_table(nothing)
     FORMATS["bag"](tmp_path, some_log())
     with refuses(RecordingError, "/joint_states", "/plate"):
-        open_foreign(tmp_path / "log.bag", "/joints")
-    plate = open_foreign(tmp_path / "log.bag", "/plate")
-    assert plate.read(["received"])["received"][0] == EPOCH
+        open_foreign_table(tmp_path / "log.bag", "/joints")
+    plate = open_foreign_table(tmp_path / "log.bag", "/plate")
+    assert plate.column_values(["received"])["received"][0] == EPOCH
     with refuses(UnknownName, "'wrench/force/w'"):
-        plate.read(["wrench/force/w"])
+        plate.column_values(["wrench/force/w"])
     monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)  # as where it is not installed
     with refuses(RecordingError, "rosbags", "[import]"):
         ros_bag.tables(tmp_path / "log.bag", "/plate")
@@ -184,28 +190,34 @@ def test_parquet_tables_of_other_programs_hold_numbers_times_truths_and_lists(
 ) -> None:
     def opened(**columns: Any) -> ForeignTable:
         pq.write_table(pa.table(columns), tmp_path / "log.parquet")
-        return open_foreign(tmp_path / "log.parquet")
+        return open_foreign_table(tmp_path / "log.parquet")
 
     kinds = (pa.bool_(), pa.int8(), pa.uint64(), pa.float32(), pa.float64())
     table = opened(**{f"{kind}": pa.array([0, 1, 1]).cast(kind) for kind in kinds})
-    for values in table.read(table.columns).values():
+    for values in table.column_values(table.columns).values():
         assert values.dtype == np.float64
         assert values.tolist() == [0.0, 1.0, 1.0]
     for unit, size in {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}.items():
         for kind in (pa.timestamp, pa.duration):
             table = opened(t=pa.array([2 * size, 3 * size, 5 * size], kind(unit)))
-            assert table.stamps("t").dtype == np.int64
-            assert (table.stamps("t") * TIMES[table.units["t"]]).tolist() == [2.0, 3.0, 5.0]
+            assert table.time_stamps("t").dtype == np.int64
+            assert (table.time_stamps("t") * TIME_UNITS[table.units["t"]]).tolist() == [
+                2.0,
+                3.0,
+                5.0,
+            ]
     pairs = pa.list_(pa.float64(), 2)
     table = opened(q=pa.array([[1.0, 2.0], [3.0, 4.0]], pairs), words=["a", "b"])
     assert table.columns == ("q[0]", "q[1]")
-    assert table.read(["q[1]"])["q[1]"].tolist() == [2.0, 4.0]
-    np.testing.assert_array_equal(opened(x=pa.array([1.0, None])).read(["x"])["x"], [1.0, np.nan])
+    assert table.column_values(["q[1]"])["q[1]"].tolist() == [2.0, 4.0]
+    np.testing.assert_array_equal(
+        opened(x=pa.array([1.0, None])).column_values(["x"])["x"], [1.0, np.nan]
+    )
     value, pair = [[1.0, None], [3.0, 4.0]], [[1.0, 2.0], None]  # pairs: by old versions' own word
     for hole, count in ((value, "1 places"), (pair, "")):
         table = opened(x=pa.array(hole, pairs))
         with refuses(RecordingError, "column 'x'", count):
-            table.read(table.columns)
+            table.column_values(table.columns)
 
 
 POLYGON = "geometry_msgs/msg/Polygon"
@@ -233,11 +245,11 @@ def test_ros_messages_are_numbers_by_their_paths(
             topic = writer.add_connection("/told", POLYGON, typestore=store)
             for k, message in enumerate(messages):
                 writer.write(topic, EPOCH + k * 10_000_000, message)
-        return open_foreign(path, "/told")
+        return open_foreign_table(path, "/told")
 
     points = rng.normal(size=(5, 3, 3)).astype(np.float32)
     names = [f"points[{k}]/{axis}" for k in range(3) for axis in "xyz"]
-    found = opened([polygon(each) for each in points]).read(names)
+    found = opened([polygon(each) for each in points]).column_values(names)
     for name, values in zip(names, points.reshape(5, 9).T, strict=True):
         np.testing.assert_array_equal(found[name], values)
     with refuses(RecordingError, "points[2]/x"):
@@ -260,12 +272,12 @@ def test_a_c3d_file_has_points_beside_channels_with_units_names_and_what_was_not
         ANALOG={"LABELS": ("Fx", "Fx", "", "My"), "UNITS": ("N", "N", "", "Nmm")},
         POINT={"LABELS": ("m", "n"), "UNITS": ("mm",)},
     )  # fmt: skip
-    table = open_foreign(tmp_path / "log.c3d")
+    table = open_foreign_table(tmp_path / "log.c3d")
     wanted = dict(zip(("analog/Fx", "analog/Fx (1)", "analog/2", "analog/My"), force, strict=True))
     points = [f"point/{name}/{axis}" for name in "mn" for axis in "xyz"]
     wanted |= dict(zip(points, place.transpose(1, 0, 2).reshape(6, 6), strict=True))
     wanted |= dict.fromkeys(("analog/time", "point/time"), np.arange(6) / 100.0)
-    read = table.read(table.columns)
+    read = table.column_values(table.columns)
     assert read.keys() == wanted.keys()
     for name, values in wanted.items():
         np.testing.assert_allclose(read[name], values, rtol=1e-6)
@@ -285,9 +297,9 @@ LOGS = [name for name in LOG_TRAPS if not any(word in name for word in SLOW)]
 def read_all(path: Path) -> None:
     """Whatever a reader finds, or a refusal of our own."""
     with suppress(RecordingError, UnknownName):
-        for each in tables(path).values():
+        for each in read_tables(path).values():
             if isinstance(each, ForeignTable):
-                each.read(each.columns)
+                each.column_values(each.columns)
 
 
 @pytest.mark.parametrize("name", [*LOGS, *DATASETS])
@@ -303,7 +315,7 @@ def test_a_trap_is_read_or_refused_by_name(name: str, tmp_path: Path) -> None:
     write_files(tmp_path, found.files, found.links)
     if found.links:
         with refuses(RecordingError, found.name):
-            tables(tmp_path / found.name)
+            read_tables(tmp_path / found.name)
     else:
         read_all(tmp_path / found.name)
 
@@ -315,7 +327,7 @@ def test_a_byte_that_crashes_the_library_of_matlab_files_is_a_refusal(tmp_path: 
     data[bytes(data).index(struct.pack("<II", 9, 72))] = 177
     path.write_bytes(data)
     with refuses(RecordingError, "log.mat"):
-        open_foreign(path)
+        open_foreign_table(path)
 
 
 @pytest.mark.parametrize("ending", ["csv", "npz"])
@@ -329,18 +341,18 @@ def test_columns_are_taken_up_to_a_number_and_refused_beyond(ending: str, tmp_pa
             np.savez(path, q=np.ones((count + 1, count), "?"))
         return path
 
-    assert len(open_foreign(written(200)).columns) == 200
+    assert len(open_foreign_table(written(200)).columns) == 200
     if ending == "csv":
-        with refuses(RecordingError, path.name, str(MOST_COLUMNS)):
-            open_foreign(written(MOST_COLUMNS + 5))
-    with pytest.raises(RecordingError, match=str(MOST_COLUMNS)):
-        ForeignTable(path, {"a": (2,), "b": (MOST_COLUMNS, MOST_COLUMNS)}, lambda _: None)
+        with refuses(RecordingError, path.name, str(MAX_COLUMNS)):
+            open_foreign_table(written(MAX_COLUMNS + 5))
+    with pytest.raises(RecordingError, match=str(MAX_COLUMNS)):
+        ForeignTable(path, {"a": (2,), "b": (MAX_COLUMNS, MAX_COLUMNS)}, lambda _: None)
 
 
 @pytest.mark.parametrize("first", [-(2**63), 2**63 - 1, 0])
 @pytest.mark.parametrize("unit", ["s", "ms", "ns", "day"])
 def test_stamps_at_the_ends_of_counters_are_times(first: int, unit: str) -> None:
     stamps = np.array([first, first], dtype=np.int64)
-    found = Times.of(stamps, unit)
+    found = SourceTimes.from_stamps(stamps, unit)
     assert np.isfinite(found.start)
-    np.testing.assert_array_equal(np.diff(found.since), 0)
+    np.testing.assert_array_equal(np.diff(found.time_after_start), 0)

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.importing.foreign_table import TIMES, UNITS
-from testbed.importing.guess import guessed
-from testbed.importing.likely_clock import rate_of
+from testbed.importing.foreign_table import TIME_UNITS, UNITS_BY_QUANTITY
+from testbed.importing.guess import guess_mapping
+from testbed.importing.likely_clock import sampling_rate
 from tests.helpers.strategies import rngs
 
 STYLES = (
@@ -67,10 +67,10 @@ def clock(rng: np.random.Generator, time: Array, epoch: bool) -> dict[str, Any]:
     unit = pick(rng, ("s", "ms", "us", "ns"))
     name = pick(rng, ("t ({})", "Time ({})", "timestamp_{}", "time [{}]")).format(unit)
     if unit in ("us", "ns"):
-        scale = round(1 / TIMES[unit])
+        scale = round(1 / TIME_UNITS[unit])
         name = "Timestamp" if epoch and unit == "ns" else name
         return {name: np.round(time * scale).astype(np.int64) + epoch * EPOCH * scale}
-    return {name: time / TIMES[unit] + epoch * EPOCH * (unit == "s")}
+    return {name: time / TIME_UNITS[unit] + epoch * EPOCH * (unit == "s")}
 
 
 def written(rng: np.random.Generator, stem: Path, columns: dict[str, Any]) -> Path:
@@ -117,7 +117,7 @@ def test_a_guess_converts_the_log_back(
             del truth["velocity"]
             continue
         form = pick(rng, NAMED if named else NUMBERED)
-        for k, values in enumerate(truth[kind].T / UNITS[kind][unit[kind]]):
+        for k, values in enumerate(truth[kind].T / UNITS_BY_QUANTITY[kind][unit[kind]]):
             name = form.format(word=word, k=numbers[k], joint=names[k])
             silent = kind == "position" and speeds and hides
             robot[name if silent else headed(rng, kind, name, unit[kind])] = values
@@ -125,14 +125,14 @@ def test_a_guess_converts_the_log_back(
     for k, values in enumerate(truth["wrench"].T):
         kind = ("force", "moment")[k // 3]
         name = headed(rng, kind, axes[k // 3].format("xyz"[k % 3]), unit[kind])
-        plate[name] = values / UNITS[kind][unit[kind]]
+        plate[name] = values / UNITS_BY_QUANTITY[kind][unit[kind]]
     epoch = not split and bool(rng.integers(2))
     paths = []
     for k, part in enumerate([robot, plate] if split else [robot | plate]):
         shuffled = {name: part[name] for name in rng.permutation(list(part)).tolist()}
         paths.append(written(rng, folder / f"log{k}", clock(rng, time, epoch) | shuffled))
     known = names if not named or rng.integers(2) else ()
-    text = guessed(paths, folder, known).text
+    text = guess_mapping(paths, folder, known).text
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     empty = [line for line in lines if '""' in line or line.startswith("rate = 0")]
     assert [line[:10] for line in empty] == ['sense = ""'], text
@@ -157,10 +157,10 @@ def test_a_rate_is_as_round_as_its_stamps_allow(rate: float, since: int, unit: s
     if unit == "s":
         stamps: Any = since + samples / rate
     else:
-        scale = round(1 / TIMES[unit])
+        scale = round(1 / TIME_UNITS[unit])
         stamps = np.round(samples / rate * scale).astype(np.int64) + since * scale
     stamps = np.delete(stamps, slice(len(stamps) // 3, len(stamps) // 3 + 40))  # a gap
-    assert rate_of(stamps) / TIMES[unit] == pytest.approx(rate, rel=1e-12)
+    assert sampling_rate(stamps) / TIME_UNITS[unit] == pytest.approx(rate, rel=1e-12)
 
 
 def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path: Path) -> None:
@@ -170,7 +170,9 @@ def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path:
         rows = [row.replace("K", f"{k}").replace("R", f"{k % 3}") for k in range(5)]
         for name in names:
             (tmp_path / f"{name}.csv").write_text("\n".join([columns, *rows]) + "\n")
-        draft = guessed([tmp_path / f"{name}.csv" for name in names], tmp_path, ("J_1", "J_2"))
+        draft = guess_mapping(
+            [tmp_path / f"{name}.csv" for name in names], tmp_path, ("J_1", "J_2")
+        )
         (tmp_path / "map.toml").write_text(draft.text)
         return draft.tables
 

@@ -11,8 +11,8 @@ import pytest
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, TestbedError
-from testbed.core.robot.rotations import from_rpy
-from testbed.importing.foreign_table import UNITS, plain
+from testbed.core.robot.rotations import rpy_to_matrix
+from testbed.importing.foreign_table import UNITS_BY_QUANTITY, canonical_unit
 from tests.helpers.foreign_files import FORMATS, Log, csv, imported, npz, some_log
 from tests.helpers.refusals import is_message, refuses
 
@@ -37,7 +37,7 @@ def test_units_are_what_they_are_however_they_are_written(
              "N mm": 1e-3, "lbf ft": 1.3558179483314004, "kgf m": 9.80665, "inch": 0.0254,
              "mrad": 1e-3}  # fmt: skip
     for kind, old, raw in (("position", ANGLES, log.q), ("torque", TORQUES, log.tau)):
-        for unit in [unit for unit in known if unit in UNITS[kind]]:
+        for unit in [unit for unit in known if unit in UNITS_BY_QUANTITY[kind]]:
             found = imported(tmp_path, text.replace(old, f'unit = "{unit}"')).measured(kind)
             np.testing.assert_allclose(found, raw * known[unit], rtol=1e-15)
     for unit, newton in {"kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}.items():
@@ -46,7 +46,7 @@ def test_units_are_what_they_are_however_they_are_written(
         np.testing.assert_allclose(found[:, 3:], log.w[:, 3:], rtol=1e-12)
     said = {"Nm": "N m", "N*m": "N m", "Nmm": "N mm", "degree": "deg", "rev": "turn",
             "  N   mm ": "N mm", "furlong": "furlong"}  # fmt: skip
-    assert {each: plain(each) for each in said} == said
+    assert {each: canonical_unit(each) for each in said} == said
 
 
 def test_signs_gains_offsets_matrices_and_gears_are_applied(
@@ -84,7 +84,7 @@ def test_a_wrench_is_taken_to_the_bedplate(text: str, tmp_path: Path, log: Log) 
     """Its power along any rigid motion is the same at the sensor and at the bedplate."""
     place = "place = { xyz = [0.1, -0.2, 0.3], rpy = [0.3, -0.4, 2.0] }\ntare = [1, 2, 98, 0, 0, 4]"
     text = text.replace("rate = 100", "rate = 100\ngravity = [0, 0, -9.8]")
-    turn, origin = from_rpy([0.3, -0.4, 2.0]), np.array([0.1, -0.2, 0.3])
+    turn, origin = rpy_to_matrix([0.3, -0.4, 2.0]), np.array([0.1, -0.2, 0.3])
     speed, spin = np.random.default_rng(1).normal(size=(2, 3))
     there = turn.T @ (speed + np.cross(spin, origin)), turn.T @ spin
     power = log.w[:, :3] @ there[0] * 1e3 + log.w[:, 3:] @ there[1] * 1e-2

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
-from testbed.importing.convert import pieces
-from testbed.importing.guess import guessed
+from testbed.importing.convert import import_recordings
+from testbed.importing.guess import guess_mapping
 from testbed.importing.import_report import MappingDraft
-from testbed.importing.readers import open_foreign
+from testbed.importing.readers import open_foreign_table
 from tests.helpers.command import command_line
 from tests.helpers.foreign_files import write_c3d
 from tests.helpers.refusals import refuses
@@ -56,10 +56,10 @@ def table(time: Array = TIME) -> Array:
 
 def draft_of(*paths: Path) -> MappingDraft:
     """The guessed mapping, what names do not say filled in."""
-    draft = guessed(paths, paths[0].parent, JOINTS)
+    draft = guess_mapping(paths, paths[0].parent, JOINTS)
     for kind, unit in (("position", "rad"), ("torque", "N m")):
         if draft.tables[kind]["unit"] == "":
-            draft = draft.saying(kind, "unit", unit)
+            draft = draft.with_key(kind, "unit", unit)
     (paths[0].parent / "map.toml").write_text(draft.text)
     return draft
 
@@ -98,7 +98,7 @@ def test_written_instants_are_times_also_over_midnight_and_show_what_is_missing(
     kept = np.delete(np.arange(len(TIME)), slice(400, 460))  # .6 s
     stamps = [WRITTEN[way](begin + timedelta(seconds=float(t))) for t in TIME[kept]]
     draft_of(written(tmp_path / "log.csv", stamps, table()[kept], sep=";"))
-    first, second = pieces(tmp_path / "map.toml")[0]
+    first, second = import_recordings(tmp_path / "map.toml")[0]
     is_right(first)
     is_right(second)
 
@@ -114,10 +114,10 @@ def test_a_row_of_units_below_the_names_is_of_the_columns(brackets: str, tmp_pat
     (tmp_path / "log.txt").write_text(
         f"Bench\t7\nby Kim\n\nZeit\tcount\tAngle1\tAngle2\n{units}\n\n{text}\n"
     )
-    found = open_foreign(tmp_path / "log.txt")
+    found = open_foreign_table(tmp_path / "log.txt")
     assert found.columns == ("Zeit", "count", "Angle1", "Angle2")
     assert (found.unit("Zeit"), found.unit("Angle2")) == ("ms", "°")
-    draft = guessed([tmp_path / "log.txt"], tmp_path)
+    draft = guess_mapping([tmp_path / "log.txt"], tmp_path)
     assert draft.tables["position"]["unit"] == "deg"
     assert (draft.tables["sources.log"]["time"], draft.tables[""]["rate"]) == ("Zeit", 100)
 
@@ -143,7 +143,7 @@ def test_samples_without_numbers_are_bridged_and_counted_and_longer_ones_are_cut
         assert bool(text) == (values is not half)
     whole[300:340] = np.nan
     draft_of(written(tmp_path / "log.csv", stamps, whole))
-    parts, said = pieces(tmp_path / "map.toml")
+    parts, said = import_recordings(tmp_path / "map.toml")
     assert [each.code for each in said] == ["import.cut"]
     is_right(parts[0], atol=2e-4)
     is_right(parts[1], atol=2e-4)
@@ -184,7 +184,7 @@ def test_a_clock_that_is_coarser_than_the_samples_is_made_steady(
     found = tb.import_recording(tmp_path / "map.toml")
     assert found.samples == pytest.approx(len(time), abs=2 + tick * rate)
     is_right(found, atol=5e-3)
-    (tmp_path / "map.toml").write_text(draft.saying("sources.log", "steady", None).text)
+    (tmp_path / "map.toml").write_text(draft.with_key("sources.log", "steady", None).text)
     with refuses(RecordingError, "sources.log"):
         tb.import_recording(tmp_path / "map.toml")
     gone = np.delete(np.arange(len(time)), slice(len(time) // 2, len(time) // 2 + rate))
@@ -215,7 +215,7 @@ def test_arrays_of_two_rates_are_sources_with_clocks_of_their_own(
     draft = draft_of(path)
     source = f"sources.{draft.tables['torque']['source']}"
     assert draft.tables[source]["rate"] == 0
-    assert str(len(TIME)) in draft.notes[source, "rate"]
+    assert str(len(TIME)) in draft.key_comments[source, "rate"]
 
 
 def test_loads_with_a_sign_bit_are_decoded_or_refused_with_the_key(tmp_path: Path) -> None:
@@ -225,11 +225,11 @@ def test_loads_with_a_sign_bit_are_decoded_or_refused_with_the_key(tmp_path: Pat
         size = np.round(load(TIME) * bit / 12)
         coded = np.where(size < 0, bit - size, size)
         path = written(tmp_path / "log.csv", stamps, np.hstack([motion(TIME), coded]))
-        draft = draft_of(path).saying("torque", "gain", 12 / bit)
+        draft = draft_of(path).with_key("torque", "gain", 12 / bit)
         (tmp_path / "map.toml").write_text(draft.text)
         assert draft.tables["torque"]["sign_bit"] == bit
         is_right(tb.import_recording(tmp_path / "map.toml"), atol=1e-3)
-        (tmp_path / "map.toml").write_text(draft.saying("torque", "sign_bit", None).text)
+        (tmp_path / "map.toml").write_text(draft.with_key("torque", "sign_bit", None).text)
         with refuses(RecordingError, "torque", f"sign_bit = {bit}"):
             tb.import_recording(tmp_path / "map.toml")
     plain = np.hstack([motion(TIME), np.round(100 * load(TIME)) + 1024])
@@ -315,5 +315,5 @@ def test_text_is_read_in_the_encodings_that_programs_write(encoding: str, tmp_pa
     """Spreadsheets' "Unicode text" is UTF-16; a sign of degrees tells the others apart."""
     path = tmp_path / "log.csv"
     path.write_bytes("t,q1 [°]\n0,1.5\n1,2.5\n2,3.5\n".encode(encoding))
-    table = open_foreign(path)
-    assert table.read(["q1 [°]"])["q1 [°]"].tolist() == [1.5, 2.5, 3.5]
+    table = open_foreign_table(path)
+    assert table.column_values(["q1 [°]"])["q1 [°]"].tolist() == [1.5, 2.5, 3.5]

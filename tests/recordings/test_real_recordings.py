@@ -18,17 +18,17 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from benchmarks.real import RIVALS, ROBOTS, errors, splits
-from testbed.bodies.posterior import Posterior, posterior, rows_of
-from testbed.bodies.prediction_errors import errors_of_another
+from testbed.bodies.posterior import Posterior, compute_posterior, corrected_row_parts
+from testbed.bodies.prediction_errors import errors_on_recording
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
-from testbed.importing.check.assessment import assess
+from testbed.importing.check.assessment import assess_recording
 from testbed.importing.check.mapping_solution import solve_mapping
-from testbed.importing.convert import pieces
-from testbed.importing.guess import guessed
+from testbed.importing.convert import import_recordings
+from testbed.importing.guess import guess_mapping
 from testbed.importing.import_report import MappingDraft
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
@@ -41,13 +41,13 @@ PLACE, LATE, REST = (-1.79e-3, -5.17e-3, -68.76e-3), 0.049, {1: -1.5706, 4: 0.0}
 
 @cache
 def draft() -> MappingDraft:
-    found = guessed([UR5E / "ur5e_plate.csv.gz"], UR5E, FILE.tree().names)
+    found = guess_mapping([UR5E / "ur5e_plate.csv.gz"], UR5E, FILE.tree().names)
     return solve_mapping(found, UR5E / "mapping.toml", FILE.tree()).draft
 
 
 @cache
 def recording() -> Recording:
-    return pieces(UR5E / "ur5e.toml")[0][0]
+    return import_recordings(UR5E / "ur5e.toml")[0][0]
 
 
 def log() -> Array:
@@ -61,7 +61,7 @@ def test_the_log_alone_gives_frame_sense_clock_and_pedestal() -> None:
     assert (table["sense"], table["pedestal"]) == ("on_plate", "removed")
     apart = Rotation.from_euler("xyz", table["place"]["rpy"]).as_matrix() @ np.diag([1, -1, -1])
     assert np.rad2deg(Rotation.from_matrix(apart).magnitude()) < 1.0
-    said = re.search(r"xyz .* \+- (.*) mm", draft().notes["wrench", "place"])
+    said = re.search(r"xyz .* \+- (.*) mm", draft().key_comments["wrench", "place"])
     assert said is not None
     sigma = [1e-3 * float(word) for word in said[1].split(", ")]
     assert (np.abs(np.subtract(table["place"]["xyz"], PLACE)) < np.multiply(3, sigma)).all()
@@ -75,7 +75,7 @@ def test_its_weight_is_what_the_plate_carries_and_joints_at_rest_are_held() -> N
     assert [each.code for each in said] == ["position.held"]
     places = [float(file.lock[names[k]] or 0.0) for k in REST]
     np.testing.assert_allclose(places, list(REST.values()), atol=1e-3)
-    found = tb.identify(file.tree(), source, "external")
+    found = tb.identify(file.tree(), source, "wrench")
     k = found.names.index("mbar1")
     assert abs(found.values[k] - log()[:, 9].mean() / 9.81) < 3 * found.sigma[k] < 0.5
     assert not {"encoder.still", "plate.tare"} & {each.code for each in found.diagnostics}
@@ -100,10 +100,10 @@ def test_what_a_reading_contains_of_the_pedestal_is_said_once(
     said = "" if pedestal is None else f"pedestal = {pedestal!r}\n"
     text = re.sub("tare = .*\n", "", re.sub("pedestal = .*\n", said, text))
     (tmp_path / "m.toml").write_text(text)
-    made = pieces(tmp_path / "m.toml")[0][0]
+    made = import_recordings(tmp_path / "m.toml")[0][0]
     taken = tb.pedestal_wrench(FILE.tree()) if made.tare is None else made.tare
     np.testing.assert_allclose(taken, [0, 0, 0 if pedestal == "removed" else 4 * 9.81, 0, 0, 0])
-    asked = [each.code for each in assess(FILE.tree(), made).diagnostics]
+    asked = [each.code for each in assess_recording(FILE.tree(), made).diagnostics]
     assert ("plate.pedestal" in asked) == (pedestal is None)
 
 
@@ -111,11 +111,11 @@ def test_what_a_reading_contains_of_the_pedestal_is_said_once(
 def test_what_is_wrong_with_a_noisy_recording_is_still_seen() -> None:
     """Another sense of the plate, another one of joint 1: noise excuses neither."""
     tree, right = FILE.tree(), recording()
-    assert assess(tree, right).certain == ()
-    upside = assess(tree, replace(right, wrench=-right.measured("wrench")))
+    assert assess_recording(tree, right).errors == ()
+    upside = assess_recording(tree, replace(right, wrench=-right.measured("wrench")))
     assert [each.kind for each in upside.remedies] == ["sense"]
     signs = np.where(np.arange(6) == 0, -1.0, 1.0)
-    assert assess(tree, replace(right, position=signs * right.position)).certain
+    assert assess_recording(tree, replace(right, position=signs * right.position)).errors
 
 
 GEN3 = ROOT / "examples/kinova_gen3"
@@ -131,26 +131,26 @@ def recordings(folder: Path, torque: dict[str, object]) -> list[Recording]:
     """Both motions, as `import --guess` takes them."""
     found = []
     for motion in (1, 2):
-        draft = guessed([GEN3 / f"motion_{motion}.csv.gz"], folder, TREE.names)
+        draft = guess_mapping([GEN3 / f"motion_{motion}.csv.gz"], folder, TREE.names)
         for key, value in torque.items():
-            draft = draft.saying("torque", key, value)
+            draft = draft.with_key("torque", key, value)
         path = folder / f"{motion}.toml"
-        path.write_text(draft.saying("position", "unit", "rad").text)
-        found.append(pieces(path)[0][0])
+        path.write_text(draft.with_key("position", "unit", "rad").text)
+        found.append(import_recordings(path)[0][0])
     return found
 
 
 def added(recording: Recording) -> Posterior:
-    rows = rows_of(Problem.of(TREE, recording, "internal"), None)
-    return posterior(rows, prior_of(TREE))
+    rows = corrected_row_parts(Problem.from_recording(TREE, recording, "torque"), None)
+    return compute_posterior(rows, prior_of(TREE))
 
 
 def left(found: Posterior, unseen: Recording) -> dict[str, Array]:
     """Rms errors of the prediction of another motion, by what predicts."""
     laws = dict.fromkeys(name.split("/")[0] for name in found.names[found.count :])
     settings = tb.Settings(terms=[*laws])
-    problem = Problem.of(TREE, unseen, "internal", settings)
-    return dict(errors_of_another(problem, problem.source, found.models).residual)
+    problem = Problem.from_recording(TREE, unseen, "torque", settings)
+    return dict(errors_on_recording(problem, problem.source, found.models).residual)
 
 
 @pytest.mark.parametrize(

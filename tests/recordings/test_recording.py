@@ -15,24 +15,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import motion_in
+from testbed.applications.prediction import longest_segment_motion
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.recordings.columns import check_times
 from testbed.core.recordings.formats import parquet
-from testbed.core.recordings.geometry import TOLERANCE, check_robot, geometry
-from testbed.core.recordings.held import without as held_without
+from testbed.core.recordings.geometry import GEOMETRY_TOLERANCE, check_robot, joint_geometry
+from testbed.core.recordings.held import without_joints
 from testbed.core.recordings.joined import Joined
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import gathered, open_source
+from testbed.core.recordings.source import gather_parts, open_source
 from testbed.core.recordings.views import (
-    NAMES,
+    BASE_JOINTS,
+    adapt_to_robot,
     coupled_shafts,
-    on_its_base,
     with_base_joints,
-    with_gear,
+    with_gear_shafts,
 )
-from testbed.core.robot.free_root import on_free_base
+from testbed.core.robot.free_root import with_free_base
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.parts import write_parts
@@ -55,7 +55,7 @@ def tree() -> tb.Tree:
 @pytest.fixture(scope="module")
 def whole(tree: tb.Tree) -> Recording:
     made = ideal(tree, duration=10.0, rate=100.0)
-    metadata = Metadata(robot="r", geometry=geometry(tree))
+    metadata = Metadata(robot="r", geometry=joint_geometry(tree))
     return replace(made, tare=np.arange(6.0), metadata=metadata)
 
 
@@ -91,7 +91,7 @@ def test_a_recording_without_some_joints_senses_what_it_sensed(
     whole = replace(whole, metadata=Metadata())
     whole.save(tmp_path / "r.parquet")
     stored = open_source(tmp_path / "r.parquet")
-    fewer = held_without(stored, whole.names[:1])
+    fewer = without_joints(stored, whole.names[:1])
     assert fewer.senses_kinematics == stored.senses_kinematics == (len(signals) == 2)
     assert fewer.names == whole.names[1:]
 
@@ -106,7 +106,7 @@ def test_a_recording_comes_back_bit_for_bit_with_units(
     if not senses:
         saved = replace(saved, velocity=None, acceleration=None)
     saved = replace(
-        without(saved, lacks) if lacks else saved, metadata=Metadata(geometry=geometry(tree))
+        without(saved, lacks) if lacks else saved, metadata=Metadata(geometry=joint_geometry(tree))
     )
     path = tmp_path_factory.mktemp("r") / "r.parquet"
     saved.save(path)
@@ -141,17 +141,20 @@ def test_parts_of_a_file_are_those_of_the_whole_in_any_order_and_size(
         same(stored.part(first, last), part)
         assert part.truth is None
     same(Recording.load(path), whole)
-    found = gathered(iter(cut(whole)))
+    found = gather_parts(iter(cut(whole)))
     same(found, whole)
     assert not found.position.flags.owndata  # it lies in a file, not in memory
     for named in (path, str(path), cut(whole), whole, stored):
         same(open_source(named).part(0, n), whole.part(0, n))
     one, two, *_ = cut(whole)
     for other in (replace(two, names=("x", "y", "z")), replace(two, torque=None)):
-        for make in (gathered, lambda parts: write_parts(parts, path.with_name("other.parquet"))):
+        for make in (
+            gather_parts,
+            lambda parts: write_parts(parts, path.with_name("other.parquet")),
+        ):
             with refuses(RecordingError, "channels"):
                 make([one, other])
-    monkeypatch.setattr(parquet, "MOST_METADATA", 20)
+    monkeypatch.setattr(parquet, "MAX_METADATA_BYTES", 20)
     with refuses(RecordingError, path.name):
         tb.StoredRecording(path)
 
@@ -178,12 +181,12 @@ def test_columns_are_found_by_name_and_another_robots_are_refused(
     first = tree.joints[0]
 
     def told(what: str, value: Any) -> Recording:
-        said = Metadata(geometry=geometry(tree)).table()["geometry"]
+        said = Metadata(geometry=joint_geometry(tree)).table()["geometry"]
         said[first.name][what] = value
         return replace(whole, metadata=Metadata.parse({"geometry": said}))
 
     check_robot(replace(whole, metadata=Metadata()), tree)
-    check_robot(told("offset", [x + 0.5 * TOLERANCE for x in first.offset.tolist()]), tree)
+    check_robot(told("offset", [x + 0.5 * GEOMETRY_TOLERANCE for x in first.offset.tolist()]), tree)
     for what, value, culprit in (
         ("offset", [9.0, 0.0, 0.0], "[9.0, 0.0, 0.0]"),
         ("kind", "prismatic" if first.revolute else "revolute", "kind"),
@@ -297,12 +300,12 @@ def test_a_recording_with_a_gap_is_one_file_and_its_segments_are_read_as_recordi
     first, begin, end = made.samples // 3, made.samples // 2, made.samples
     parts = [replace(made.part(0, first), tare=made.tare), made.part(begin, end)]
     gaps = (float(parts[1].time[0]), 1e3)  # the other one is not of it
-    whole = replace(gathered(parts), metadata=replace(made.metadata, gaps=gaps))
+    whole = replace(gather_parts(parts), metadata=replace(made.metadata, gaps=gaps))
     whole.save(path)
     loaded, stored = Recording.load(path), open_source(path)
     same(loaded, whole)
     segments = ((0, first), (first, first + end - begin))
-    for each in (whole, loaded, stored, held_without(stored, whole.names[:1])):
+    for each in (whole, loaded, stored, without_joints(stored, whole.names[:1])):
         assert each.segments == segments
         assert each.rate == pytest.approx(made.rate)
     assert loaded.part(*segments[1]).rate == parts[1].rate
@@ -315,8 +318,8 @@ def test_a_recording_with_a_gap_is_one_file_and_its_segments_are_read_as_recordi
     wanted = tb.identify(tree, Joined(parts))
     for shown in (whole, path, Joined([whole])):
         np.testing.assert_array_equal(tb.identify(tree, shown).values, wanted.values)
-    motion, inner = motion_in(whole)
-    alone, own = motion_in(parts[1])
+    motion, inner = longest_segment_motion(whole)
+    alone, own = longest_segment_motion(parts[1])
     np.testing.assert_array_equal(motion.qdd, alone.qdd)
     assert inner == slice(own.start + first, own.stop + first)
     with refuses(SettingsError, "gap"):
@@ -332,17 +335,17 @@ def test_a_base_that_was_measured_is_six_joints_more_in_memory_and_in_a_file(
     free, recording = riding(11)
     recording.save(tmp_path / "r.parquet")
     whole = with_base_joints(recording)
-    source = on_its_base(open_source(tmp_path / "r.parquet"), free)
-    assert source.names == whole.names == (*NAMES, *recording.names)
+    source = adapt_to_robot(open_source(tmp_path / "r.parquet"), free)
+    assert source.names == whole.names == (*BASE_JOINTS, *recording.names)
     for first, last in ((0, 100), (100, recording.samples)):
         same(replace(source.part(first, last), metadata=Metadata()), whole.part(first, last))
-    assert on_its_base(whole, free) is whole
+    assert adapt_to_robot(whole, free) is whole
     fixed = ideal(robot("puma"), duration=1.0)
-    assert on_its_base(fixed, robot("puma")) is fixed
+    assert adapt_to_robot(fixed, robot("puma")) is fixed
     fixed.save(tmp_path / "fixed.parquet")
     for without_base in (fixed, open_source(tmp_path / "fixed.parquet")):
         with refuses(RecordingError, "base"):
-            on_its_base(without_base, on_free_base(robot("puma")))
+            adapt_to_robot(without_base, with_free_base(robot("puma")))
 
 
 def test_shafts_of_coupled_gears_are_named_after_their_own_joint_and_nothing_is_trusted() -> None:
@@ -361,6 +364,6 @@ def test_shafts_of_coupled_gears_are_named_after_their_own_joint_and_nothing_is_
     for matrix, names, wanted in cases:
         mapping = {"gear": {"matrix": matrix}, "joints": names}
         assert coupled_shafts(mapping) == wanted
-        geared = with_gear(tree, replace(recording, metadata=Metadata(mapping=mapping)))
+        geared = with_gear_shafts(tree, replace(recording, metadata=Metadata(mapping=mapping)))
         assert [shaft.name for shaft in geared.shafts] == list(wanted)
     assert [coupled_shafts(mapping) for mapping in ({}, {"joints": 3})] == [{}, {}]

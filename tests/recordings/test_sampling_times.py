@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.core.recordings.sampling_times import errors_of_times
+from testbed.core.recordings.sampling_times import sampling_time_errors
 from tests.helpers.measured import measured
 from tests.helpers.runs import robot
 
@@ -29,7 +29,7 @@ def test_nothing_is_found_in_even_recordings(name: str, count: float) -> None:
         position = recording.position
         if count:
             position = count * np.round(position / count)
-        assert errors_of_times(recording.time, position).sound
+        assert sampling_time_errors(recording.time, position).is_free_of_errors
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -42,7 +42,7 @@ def test_lost_and_repeated_rows_are_found_with_their_times(sign: int) -> None:
         else np.insert(recording.position, rows, recording.position[rows], axis=0)
     )
     time = recording.time[0] + np.arange(len(changed)) / recording.rate
-    found = errors_of_times(time, changed)
+    found = sampling_time_errors(time, changed)
     seen, none = (found.lost, found.repeated)[::sign]
     assert len(none) == 0
     np.testing.assert_allclose(seen, recording.time[rows], atol=0.03)
@@ -53,7 +53,7 @@ def test_jitter_is_found_with_its_size(size: float) -> None:
     recording = measured(robot("puma"), 4, noise=0.3)
     times = recording.time + size * np.random.default_rng(0).normal(size=recording.samples)
     moved = [np.interp(times, recording.time, q) for q in recording.position.T]
-    found = errors_of_times(recording.time, np.stack(moved, axis=1))
+    found = sampling_time_errors(recording.time, np.stack(moved, axis=1))
     assert found.jitter == pytest.approx(size, rel=0.3)
     assert len(found.lost) + len(found.repeated) == 0
 

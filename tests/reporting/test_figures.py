@@ -15,8 +15,8 @@ from scipy.signal import welch
 import testbed as tb
 from testbed.view.drawing import draw, svg
 from testbed.view.figures import Panel, named_panels
-from testbed.view.plot import MOST, ErrorDots, dots_of_run
-from testbed.view.signals import SEGMENT, rms_within, spectrum
+from testbed.view.plot import MAX_PARAMETERS, ErrorDots, run_error_dots
+from testbed.view.signals import MAX_SEGMENT_SAMPLES, rms_within, spectrum
 from tests.helpers.pages import HOSTILE, run_named
 from tests.helpers.strategies import few, rngs
 
@@ -49,7 +49,7 @@ def test_axes_can_be_read(size: float, rng: np.random.Generator, kind: str) -> N
 
 def test_curves_that_agree_are_all_seen() -> None:
     """The same curve by every name: later ones lie on top, and leave some of the others."""
-    x, names = np.linspace(1.0, 100.0, 600), ("measured", "external", "internal")
+    x, names = np.linspace(1.0, 100.0, 600), ("measured", "wrench", "torque")
     panel = Panel("a [N]", dict.fromkeys(reversed(names), (x, np.sin(x / 9))), "time [s]")
     (axis,) = draw(panel).axes
     lines = sorted(axis.get_lines(), key=lambda line: line.get_zorder())
@@ -63,7 +63,7 @@ def test_curves_that_agree_are_all_seen() -> None:
 def test_values_by_name_are_all_drawn_on_one_scale(count: int, rng: np.random.Generator) -> None:
     names = tuple(f"K{k}yy" for k in range(count))
     external, internal = 10 ** rng.uniform(-9, 2, (2, count))
-    values = {"external": external, "internal": internal}
+    values = {"wrench": external, "torque": internal}
     panels = named_panels("sigma", names, values, "part [%]", log=True)
     assert [name for panel in panels for name in panel.names] == list(names)
     (limits,) = {panel.limits for panel in panels}
@@ -72,9 +72,9 @@ def test_values_by_name_are_all_drawn_on_one_scale(count: int, rng: np.random.Ge
         drawn = np.concatenate([panel.curves[kind][0] for panel in panels])
         np.testing.assert_array_equal(drawn, wanted)
         assert limits[0] <= drawn.min() <= drawn.max() <= limits[1]
-    dots, bars = ErrorDots(names, {"external": external}, {"external": internal}).drawn
-    np.testing.assert_array_equal(dots["external"], external)
-    np.testing.assert_array_equal(bars["external"], (np.full(count, limits[0]), internal))
+    dots, bars = ErrorDots(names, {"wrench": external}, {"wrench": internal}).dots_and_bars
+    np.testing.assert_array_equal(dots["wrench"], external)
+    np.testing.assert_array_equal(bars["wrench"], (np.full(count, limits[0]), internal))
     assert [name for panel in panels for name in texts(svg(panel)) if name in names] == list(names)
 
 
@@ -82,8 +82,8 @@ def test_values_by_name_are_all_drawn_on_one_scale(count: int, rng: np.random.Ge
 def test_dots_are_errors_and_bars_are_sigmas() -> None:
     """In percent of the truth; where no truth is known dots are sigmas of the values."""
     run = run_named("ur5")
-    dots, blind = dots_of_run(run), dots_of_run(replace(run, score=None))
-    assert 0 < len(dots.names) <= MOST
+    dots, blind = run_error_dots(run), run_error_dots(replace(run, score=None))
+    assert 0 < len(dots.names) <= MAX_PARAMETERS
     assert not blind.sigmas
     for method, estimate in run.estimates.items():
         for k, name in enumerate(estimate.names):
@@ -96,16 +96,18 @@ def test_dots_are_errors_and_bars_are_sigmas() -> None:
             assert known == pytest.approx(100 * estimate.sigma[k] / abs(estimate.values[k]))
     labels = [text.get_text() for text in tb.plot(run).axes[0].get_yticklabels()]
     assert labels == list(dots.names)
-    assert tb.plot(run.estimates["external"])._repr_png_().startswith(b"\x89PNG")
+    assert tb.plot(run.estimates["wrench"])._repr_png_().startswith(b"\x89PNG")
 
 
-@given(rngs, st.sampled_from([300, SEGMENT, 40 * SEGMENT]), st.floats(50, 1000))
+@given(
+    rngs, st.sampled_from([300, MAX_SEGMENT_SAMPLES, 40 * MAX_SEGMENT_SAMPLES]), st.floats(50, 1000)
+)
 @few(10)
 def test_power_is_neither_lost_nor_found(rng: np.random.Generator, count: int, rate: float) -> None:
     """Parseval's law; a tone stands at its frequency with its power; a mean counts nowhere."""
     noise = 3.0 * rng.normal(size=count)
     frequency, density = spectrum(noise + 50.0, rate)
-    scipy = welch(noise, rate, nperseg=min(count, SEGMENT))
+    scipy = welch(noise, rate, nperseg=min(count, MAX_SEGMENT_SAMPLES))
     np.testing.assert_allclose([frequency, density**2], np.array(scipy)[:, 1:], atol=1e-12)
     total = rms_within(frequency, density, 0.0, np.inf)
     assert total == pytest.approx(noise.std(), rel=0.3 if count == 300 else 0.06)
@@ -113,6 +115,6 @@ def test_power_is_neither_lost_nor_found(rng: np.random.Generator, count: int, r
     assert np.hypot(low, high) == pytest.approx(total, rel=1e-12)
     tone = rng.uniform(0.2, 0.3) * rate
     frequency, density = spectrum(4.0 * np.sin(2 * np.pi * tone * np.arange(9000) / rate), rate)
-    assert frequency[density.argmax()] == pytest.approx(tone, abs=rate / SEGMENT)
+    assert frequency[density.argmax()] == pytest.approx(tone, abs=rate / MAX_SEGMENT_SAMPLES)
     assert rms_within(frequency, density, 0.9 * tone, 1.1 * tone) == pytest.approx(8**0.5, rel=0.01)
     assert rms_within(*spectrum(np.array([1.0, -1.0, 1.0]), 10.0), 0.0, np.inf) == 0.0

@@ -15,11 +15,12 @@ import testbed as tb
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.verdict import verdict_of
 from testbed.core.base.summary_table import number_with_sigma
-from testbed.core.estimation.estimate import METHODS, NAMES
-from testbed.core.estimation.influence import by_influence
+from testbed.core.estimation.estimate import METHOD_LABELS
+from testbed.core.estimation.influence import names_by_influence
+from testbed.core.parameters.rules import SIGNALS
 from testbed.core.recordings.metadata import Metadata
-from testbed.lab.experiment.evaluate import wrong_bodies
-from testbed.lab.experiment.summary import summary, verdict
+from testbed.lab.experiment.evaluate import perturbed_robot
+from testbed.lab.experiment.summary import claim_verdict, summary
 from testbed.view.figures import Panel
 from testbed.view.run_page import write_report
 from testbed.view.signals import sections
@@ -118,7 +119,7 @@ def test_page_and_numbers_are_those_of_the_run(name: str) -> None:
         assert bool(figure["panels"]) == (bool(run.estimates) and figure["id"] != "bodies")
     for table in numbers["parameters"]:
         names = [row[0] for row in table["rows"]]
-        assert names == by_influence(run.estimates.values(), run.truths)
+        assert names == names_by_influence(run.estimates.values(), run.truths)
         rows = (row for each in words if each[0] == table["heads"] for row in each[1:])
         assert [plain(name) for name in names] == [row[0] for row in rows]
     for method, estimate in run.estimates.items():
@@ -131,7 +132,7 @@ def test_page_and_numbers_are_those_of_the_run(name: str) -> None:
             stated = plain(number_with_sigma(value, sigma))
             assert any(row[0] == parameter and stated in row for table in words for row in table)
     said = plain(text_of(page(name))).replace("\u00a0", " ")
-    for line in [*summary(run), verdict(run)] if name != "hostile" else []:
+    for line in [*summary(run), claim_verdict(run)] if name != "hostile" else []:
         assert plain(line).replace("\u00a0", " ").replace("<", "&lt;").replace("'", "&#39;") in said
 
 
@@ -146,12 +147,14 @@ def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
         assert panel.title == f"{channel.name} [{channel.unit}]"
         spread = channel.measured.std()
         assert float(row["spread (rms)"]) == pytest.approx(spread, rel=0.01)
-        for method in METHODS:
+        for method in SIGNALS:
             size = np.sqrt(np.mean(channel.residuals[method] ** 2))
-            assert float(row[f"residual rms, {NAMES[method]}"]) == pytest.approx(size, rel=0.01)
-            share = float(row[f"of spread, {NAMES[method]}"].rstrip("% "))
+            assert float(row[f"residual rms, {METHOD_LABELS[method]}"]) == pytest.approx(
+                size, rel=0.01
+            )
+            share = float(row[f"of spread, {METHOD_LABELS[method]}"].rstrip("% "))
             assert share == pytest.approx(100 * size / spread, rel=0.06)
-        below = panel.below[f"residual [{channel.unit}]"]
+        below = panel.lower_plots[f"residual [{channel.unit}]"]
         for method in channel.predicted.keys() & below.keys():
             time, drawn = below[method]
             at = np.searchsorted(smooth.motion.t, time)
@@ -200,17 +203,17 @@ def test_the_same_bits_every_time_and_both_files_or_none(tmp_path: Path) -> None
 def test_a_page_of_torques_says_nothing_of_a_plate_and_has_one_prior(tmp_path: Path) -> None:
     """An imported recording: its verdict first, one width of the prior, no count that differs."""
     tree = robot("puma")
-    wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
+    wrong = perturbed_robot(tree, 0.3, np.random.default_rng(3))
     slow = replace(measured(tree, 5, speed=0.1), wrench=None, metadata=Metadata(mapping={}))
     bodies = tb.prior_of(wrong), ConsistencyOptions()
     run = tb.assemble_run(wrong, slow, name="slow", prior_error=0.2, bodies=bodies)
     assert run.consistent is not None
-    assert run.posterior["internal"].prior_error == run.consistent.prior_error == 0.2
+    assert run.posterior["torque"].prior_error == run.consistent.prior_error == 0.2
     said = verdict_of(run.estimates.values(), run.posterior.values())
     write_report(run, tmp_path / "page.html")
     text = text_of(tmp_path / "page.html")
     assert not re.search(r"(?i)\bplate|\bbedplate|wrench", text)
     assert plain(said[0].text)[1:] in summary(run)[0].replace(" %", "\u00a0%")
-    determined = len(run.posterior["internal"].determined)
+    determined = len(run.posterior["torque"].determined)
     counts = re.findall(r"(\d+) of (\d+) parameters", text)
-    assert set(counts) == {(str(determined), str(run.posterior["internal"].count))}
+    assert set(counts) == {(str(determined), str(run.posterior["torque"].count))}

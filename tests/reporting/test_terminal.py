@@ -23,7 +23,12 @@ from testbed.core.parameters.identifiability import identifiability
 from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.view import output
 from testbed.view.figures import Panel
-from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets  # fmt: skip
+from testbed.view.minimal_sets import (  # fmt: skip
+    IdentifiabilityReport,
+    minimal_sets_document,
+    print_latex,
+    print_sets,
+)
 from testbed.view.motion import print_excitation
 from testbed.view.section import Table
 from testbed.view.terminal import print_estimates, print_run
@@ -34,10 +39,10 @@ from tests.helpers.strategies import few, trees
 WIDTHS = st.integers(60, 140)
 
 
-def findings(tree: tb.Tree) -> Findings:
-    dynamic, reaction = (tb.minimal_set(tree, model) for model in ("dynamic", "reaction"))
+def findings(tree: tb.Tree) -> IdentifiabilityReport:
+    dynamic, reaction = (tb.minimal_set(tree, model) for model in ("torque", "wrench"))
     drives = with_joint_terms(tree, dynamic, ("rotor",))
-    return Findings(tree, dynamic, reaction, drives, identifiability(tree))
+    return IdentifiabilityReport(tree, dynamic, reaction, drives, identifiability(tree))
 
 
 def printed(width: int, print_it: Callable[..., object], *words: Any) -> str:
@@ -126,7 +131,7 @@ def test_no_term_of_a_minimal_set_is_lost(tree: tb.Tree, width: int) -> None:
     found = findings(tree)
     text, whole = (printed(columns, print_sets, found, "symbols") for columns in (width, 500))
     assert Counter(dense(text)) == Counter(dense(whole))  # whatever is broken where
-    document = json.loads(json.dumps(as_document(found)))
+    document = json.loads(json.dumps(minimal_sets_document(found)))
     assert "…" not in text
     latex = printed(80, print_latex, found, "symbols").splitlines()
     assert [line for line in latex if not line.startswith("% ") and " &= " not in line] == []
@@ -138,15 +143,16 @@ def test_no_term_of_a_minimal_set_is_lost(tree: tb.Tree, width: int) -> None:
         assert written["names"] == list(each.names)
         for formula in each.formulas:
             assert f" {formula.left.text} " in whole
-            assert formula.trivial or formula.said in whole
+            assert formula.is_trivial or formula.right_text in whole
 
 
 def test_the_pumas_set_is_written_as_the_paper_writes_it(puma: tb.Tree) -> None:
-    dynamic, reaction = (
-        tb.minimal_set(puma, model, zeros=True) for model in ("dynamic", "reaction")
-    )
+    dynamic, reaction = (tb.minimal_set(puma, model, zeros=True) for model in ("torque", "wrench"))
     golden = (GOLDEN / "puma562.tex").read_text(encoding="utf-8")
-    assert printed(80, print_latex, Findings(puma, dynamic, reaction, None), "symbols") == golden
+    assert (
+        printed(80, print_latex, IdentifiabilityReport(puma, dynamic, reaction, None), "symbols")
+        == golden
+    )
 
 
 @pytest.mark.slow
@@ -166,5 +172,5 @@ def test_a_campaign_is_a_row_of_a_table_and_of_a_figure_for_each_cell() -> None:
     errors, coverage = figure.panels
     for panel, name in ((errors, "error"), (coverage, "coverage")):
         assert isinstance(panel, Panel)
-        drawn, _ = panel.curves["external"]
+        drawn, _ = panel.curves["wrench"]
         np.testing.assert_allclose(drawn, [100 * getattr(each, name) for each in cells])

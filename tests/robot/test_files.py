@@ -21,12 +21,12 @@ import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
 from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.robot.drive_torque import drive_torque, friction_torque
-from testbed.core.robot.friction import LAWS, ROTOR, joint_law, joint_terms
-from testbed.core.robot.locks import Travel
+from testbed.core.robot.friction import JOINT_LAWS, ROTOR, joint_law, joint_terms
+from testbed.core.robot.locks import JointTravel
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.parsing import capture_stderr
 from testbed.core.robot.refusals import FreeRootError
-from testbed.core.robot.tree import FARTHEST, SETTABLE
+from testbed.core.robot.tree import MAX_COORDINATE, SETTABLE_FIELDS
 from testbed.lab.simulation.plant import build_plant
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
@@ -112,7 +112,7 @@ REFUSED = {
     "loop.urdf": (URDF.format("", "".join(JOINT.format(j, "continuous", "") for j in "jk")), "'k'"),
     "axis.urdf": (turning('<axis xyz="0 0 0"/>'), "'k'"),
     "range.urdf": (turning('<limit lower="3" upper="-3"/>', "revolute"), "'k'"),
-    "millimetres.urdf": (turning(f'<origin xyz="0 {-1.01 * FARTHEST} 0"/>'), "'k'"),
+    "millimetres.urdf": (turning(f'<origin xyz="0 {-1.01 * MAX_COORDINATE} 0"/>'), "'k'"),
     "free.urdf": (URDF.format("", FLOATS + HIP), "'k'"),
     "page.urdf": ("\n<!DOCTYPE html><html><br></html>", "web page"),
     "broken.xml": ("<mujoco><worldbody>", "XML"),
@@ -198,7 +198,7 @@ def test_a_joint_without_limits_is_read_and_rests_at_zero_or_near_it(tmp_path: P
         joint = tb.load_tree(tmp_path / "r.urdf").joints[0]
         assert np.isinf([*joint.position_range, joint.max_velocity, joint.max_effort]).all()
     for low, high, rest in ((-1, 2, 0), (1, 2, 1.5), (0.5, math.inf, 0.5), (-math.inf, -2, -2)):
-        assert Travel(low, high).rest == rest
+        assert JointTravel(low, high).rest_position == rest
 
 
 # numbers of a URDF
@@ -431,7 +431,7 @@ def test_what_python_prints_meanwhile_is_no_complaint(monkeypatch: pytest.Monkey
         assert sys.stderr is stream
 
 
-@given(st.sampled_from(SETTABLE), wrong_numbers, wrong_numbers)
+@given(st.sampled_from(SETTABLE_FIELDS), wrong_numbers, wrong_numbers)
 def test_what_no_joint_can_have_is_refused(name: str, a: Any, b: Any) -> None:
     """Robots with friction that drives them would be identified as such."""
     tree = random_robot(np.random.default_rng(0), 3).tree()
@@ -481,9 +481,9 @@ def test_friction_and_rotors_are_the_textbooks_with_their_units(tree: tb.Tree, r
     np.testing.assert_allclose(drive_torque(tree, qd, qdd), expected + values[2] * qdd, rtol=1e-13)
     smooth = values[0] * np.tanh(qd / 0.05) + values[1] * qd
     np.testing.assert_allclose(friction_torque(tree, qd, 0.05), smooth, rtol=1e-12)
-    for term in joint_terms(tree, LAWS):
+    for term in joint_terms(tree, JOINT_LAWS):
         joint = tree.joints[term.joint]
-        units = UNITS.get(term.law.kind, (term.law.turning, term.law.sliding))
+        units = UNITS.get(term.law.kind, (term.law.revolute_unit, term.law.prismatic_unit))
         assert term.unit(tree) == units[not joint.revolute]
         assert term.name(tree) == f"{term.law.kind}/{joint.name}"
 
@@ -493,14 +493,14 @@ def test_laws_are_found_by_name() -> None:
     columns = {kind: float(joint_law(kind).column(-0.25, 3.0)) for kind in COLUMNS}
     assert columns == COLUMNS
     files = {path.stem for path in (ROOT / "testbed/core/robot/laws").glob("[a-z]*.py")}
-    assert files == {law.kind for law in LAWS[4:]}
+    assert files == {law.kind for law in JOINT_LAWS[4:]}
     speeds = np.linspace(-2.0, 2.0, 9)
-    for law in LAWS:
+    for law in JOINT_LAWS:
         assert joint_law(law.kind) is law
         assert law.columns(speeds, speeds).shape == speeds.shape
         assert np.isfinite(law.columns(speeds, speeds)).all()
-        sliding = law.turning.replace("N m", "N").replace("rad", "m")  # torque to force
-        assert law == ROTOR or law.sliding == sliding
+        sliding = law.revolute_unit.replace("N m", "N").replace("rad", "m")  # torque to force
+        assert law == ROTOR or law.prismatic_unit == sliding
     assert joint_law("stribeck@0.08").column(-0.08, 0.0) == pytest.approx(-np.exp(-1))
     for wrong in ("viscos", *(f"stribeck@{x}" for x in ("", "0", "fast", "-1", "inf"))):
         with refuses(UnknownName, f"'{wrong}'", "viscous", "stribeck@0.1"):

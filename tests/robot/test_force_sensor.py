@@ -17,11 +17,11 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ModelError, RecordingError, UnknownName
 from testbed.core.dynamics.newton_euler import poses
-from testbed.core.dynamics.rank_check import verify
-from testbed.core.recordings.views import on_its_base
-from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
-from testbed.core.robot.free_base import FREE
-from testbed.core.robot.free_root import on_free_base
+from testbed.core.dynamics.rank_check import verify_minimal_set
+from testbed.core.recordings.views import adapt_to_robot
+from testbed.core.robot.force_sensor import ForceSensor, tree_before_sensors, tree_beyond_sensor
+from testbed.core.robot.free_base import N_BASE_COORDINATES
+from testbed.core.robot.free_root import with_free_base
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
@@ -58,12 +58,12 @@ def test_three_witnesses_agree_on_its_minimal_set(tree: tb.Tree, free: bool, rng
     """Rules, recursion and sampled rows, on cuts of random robots, on bases that move as well."""
     if free:
         link = tree.joints[rng.integers(tree.n)].body
-        cut = beyond_sensor(on_free_base(tree), links_of(tree), ForceSensor(link))
+        cut = tree_beyond_sensor(with_free_base(tree), links_of(tree), ForceSensor(link))
     else:
         cut = random_cut(tree, rng)
     for tared in (False, True):
-        found = verify(cut, tb.minimal_set(cut, "reaction", tared=tared))
-        assert found.holds, found
+        found = verify_minimal_set(cut, tb.minimal_set(cut, "wrench", tared=tared))
+        assert found.agrees, found
 
 
 def test_a_cut_within_a_body_leaves_what_is_fixed_beyond(tmp_path: Path) -> None:
@@ -76,19 +76,19 @@ def test_a_cut_within_a_body_leaves_what_is_fixed_beyond(tmp_path: Path) -> None
     file.write_text(URDF.read_text().replace("</robot>", tool))
     model = ModelFile(file)
     tree = model.tree()
-    cut = beyond_sensor(tree, model.links(), ForceSensor("tool"))
+    cut = tree_beyond_sensor(tree, model.links(), ForceSensor("tool"))
     assert [body.mass for body in cut.inertias] == [0, 0, 1.5]
     np.testing.assert_allclose(cut.inertias[2].com, [0, 0, 0.5])
     np.testing.assert_allclose(cut.sensor.position, [0, 0, 0.4])  # type: ignore[union-attr]
-    free = beyond_sensor(on_free_base(tree), model.links(), ForceSensor("tool"))
-    assert (free.lead, free.n) == (FREE + 3, FREE + 3)
+    free = tree_beyond_sensor(with_free_base(tree), model.links(), ForceSensor("tool"))
+    assert (free.lead, free.n) == (N_BASE_COORDINATES + 3, N_BASE_COORDINATES + 3)
 
 
 def test_links_that_are_not_there_and_the_root_are_refused() -> None:
     model = ModelFile(URDF)
     for link, kind in (("link9", UnknownName), (model.links()[0].name, ModelError)):
         with pytest.raises(kind):
-            beyond_sensor(model.tree(), model.links(), ForceSensor(link))
+            tree_beyond_sensor(model.tree(), model.links(), ForceSensor(link))
     for words in (["robot.sensor=link9"], ["sensors.other.link=link9", "robot.sensor=''"]):
         with pytest.raises(UnknownName):
             tb.record(Experiment.from_toml(ROOT / "experiments/force_sensor.toml", words))
@@ -109,9 +109,9 @@ def test_mujocos_own_sensors_give_the_parameters_to_rounding(about: str, farther
         with pytest.raises(ModelError):
             sensed_robot(experiment)
         return
-    run = evaluate(experiment, tb.record(experiment), methods=("external",))
+    run = evaluate(experiment, tb.record(experiment), methods=("wrench",))
     assert run.score is not None
-    assert run.score.metrics["external_max_relative_error"] < 1e-10
+    assert run.score.metrics["wrench_max_relative_error"] < 1e-10
 
 
 @few(25)
@@ -120,7 +120,7 @@ def test_between_two_sensors_is_the_difference_of_wrenches(data: st.DataObject, 
     """Of one plate or sensor less the next, in a recording: the wrench of the bodies between."""
     tree = data.draw(trees((2, 7)))
     motion, links, sensors = data.draw(motions(tree)), links_of(tree), random_sensors(tree, rng)
-    part = {"": tree} | {each.name: beyond_sensor(tree, links, each) for each in sensors}
+    part = {"": tree} | {each.name: tree_beyond_sensor(tree, links, each) for each in sensors}
 
     def felt(some: tb.Tree) -> Array:
         own = [tree.index(name) for name in some.names]
@@ -138,27 +138,29 @@ def test_between_two_sensors_is_the_difference_of_wrenches(data: st.DataObject, 
     for own in (None, *sensors):
         others = [each for each in sensors if each is not own]
         between = (
-            beyond_sensor(tree, links, own, others) if own else before_sensors(tree, links, others)
+            tree_beyond_sensor(tree, links, own, others)
+            if own
+            else tree_before_sensors(tree, links, others)
         )
-        found = on_its_base(recording, between)
+        found = adapt_to_robot(recording, between)
         size = np.abs(felt(part[own.name if own else ""])).max()
         assert found.wrench is not None
         np.testing.assert_allclose(found.wrench, felt(between), atol=1e-9 * size)
-        assert on_its_base(found, between) is found
+        assert adapt_to_robot(found, between) is found
 
 
 def test_a_recording_keeps_what_moves_the_sensor() -> None:
     """Other joints' columns go, temperatures and torques, too; a joint that lacks is named."""
     model = ModelFile(URDF)
-    tree = beyond_sensor(model.tree(), model.links(), ForceSensor("link1"))
-    other = beyond_sensor(model.tree(), model.links(), ForceSensor("base"))
+    tree = tree_beyond_sensor(model.tree(), model.links(), ForceSensor("link1"))
+    other = tree_beyond_sensor(model.tree(), model.links(), ForceSensor("base"))
     names = ("spare", *reversed(tree.names))
     q = np.arange(12.0).reshape(3, 4)
     recording = tb.Recording(
         names, np.arange(3.0), q, torque=q, wrench=np.zeros((3, 6)), temperature=q
     )
-    found = on_its_base(recording, tree)
+    found = adapt_to_robot(recording, tree)
     assert (found.names, found.signals) == (tree.names, ("time", "position", "wrench"))
     np.testing.assert_array_equal(found.part(0, 3).position, q[:, :0:-1])
     with refuses(RecordingError, other.names[0]):
-        on_its_base(replace(recording, names=("a", "b", "c", "d")), other)
+        adapt_to_robot(replace(recording, names=("a", "b", "c", "d")), other)

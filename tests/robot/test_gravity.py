@@ -12,11 +12,11 @@ import typer
 from hypothesis import given
 
 import testbed as tb
-from testbed.cli.options import Vector, joined_vectors
+from testbed.cli.options import GravityVector, join_gravity_words
 from testbed.core.base.errors import ExperimentError, SettingsError
-from testbed.core.base.toml_text import checked
-from testbed.core.dynamics.gravity_rotations import unidentifiable_rotations
-from testbed.core.robot.gravity import MOUNTINGS
+from testbed.core.base.toml_text import validate_tables
+from testbed.core.dynamics.gravity_rotations import gravity_rotation_diagnostic
+from testbed.core.robot.gravity import GRAVITY_BY_MOUNTING
 from testbed.importing.mapping import Mapping
 from testbed.lab.experiment.experiment import Experiment
 from tests.helpers.command import command_line
@@ -36,34 +36,34 @@ def mapping(gravity: Any) -> Any:
     """Gravity as a mapping file keeps it."""
     log = {"file": "log.csv", "rate": 100.0}
     said = {"rate": 100.0, "joints": ["a"], "sources": {"log": log}, **SIGNALS}
-    return checked(Mapping, {**said, "gravity": gravity}, "map.toml").gravity
+    return validate_tables(Mapping, {**said, "gravity": gravity}, "map.toml").gravity
 
 
-@pytest.mark.parametrize("word", MOUNTINGS)
+@pytest.mark.parametrize("word", GRAVITY_BY_MOUNTING)
 def test_words_are_numbers_in_python_commands_experiments_and_mappings(word: str) -> None:
-    wanted = MOUNTINGS[word]
+    wanted = GRAVITY_BY_MOUNTING[word]
     assert np.linalg.norm(wanted) in (0.0, 9.81)
     np.testing.assert_array_equal(robot("puma").with_gravity(word).gravity, wanted)
-    assert [*Vector.parse(word)] == mapping(word) == mapping(wanted) == wanted
+    assert [*GravityVector.parse(word)] == mapping(word) == mapping(wanted) == wanted
     assert Experiment.of_model(MODEL, [f"gravity={word}"]).gravity == wanted
     numbers = " ".join(map(str, wanted))
     for text in (numbers, numbers.replace(" ", ",")):
-        assert [*Vector.parse(text)] == wanted
+        assert [*GravityVector.parse(text)] == wanted
     for words in (word, numbers):
         line = ["minimal", "r.urdf", "--gravity", *words.split(), "--json"]
-        assert joined_vectors(line) == ["minimal", "r.urdf", "--gravity", words, "--json"]
+        assert join_gravity_words(line) == ["minimal", "r.urdf", "--gravity", words, "--json"]
 
 
 @pytest.mark.parametrize("text", ["", "walls", "wall", "wall +z", "0 0", "0 0 0 0", "0,0,down"])
 def test_other_texts_are_refused_with_the_words_that_are_known(text: str) -> None:
-    with refuses(SettingsError, *MOUNTINGS):
+    with refuses(SettingsError, *GRAVITY_BY_MOUNTING):
         robot("puma").with_gravity(text)
-    with refuses(ExperimentError, "map.toml", "gravity", *MOUNTINGS):
+    with refuses(ExperimentError, "map.toml", "gravity", *GRAVITY_BY_MOUNTING):
         mapping(text)
-    with refuses(ExperimentError, "gravity", *MOUNTINGS):
+    with refuses(ExperimentError, "gravity", *GRAVITY_BY_MOUNTING):
         Experiment.of_model(MODEL, [f'gravity="{text}"'])
-    with refuses(typer.BadParameter, *MOUNTINGS):
-        Vector.parse(text)
+    with refuses(typer.BadParameter, *GRAVITY_BY_MOUNTING):
+        GravityVector.parse(text)
 
 
 def test_the_option_goes_before_the_file_and_before_the_recording(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_the_option_goes_before_the_file_and_before_the_recording(tmp_path: Path
     line = ("simulate", "e.toml", "--out", "r.parquet", "--gravity", "wall", "-y")
     assert command_line(*line, cwd=tmp_path).returncode == 0
     known = tb.Recording.load(tmp_path / "r.parquet").metadata.gravity
-    assert known == tuple(MOUNTINGS["wall -y"])
+    assert known == tuple(GRAVITY_BY_MOUNTING["wall -y"])
     for command in ("excite", "run"):
         done = command_line(command, "e.toml", "--gravity", "up", cwd=tmp_path)
         assert done.returncode == 2
@@ -86,8 +86,8 @@ def test_the_option_goes_before_the_file_and_before_the_recording(tmp_path: Path
 
 def hidden(tree: tb.Tree, gravity: Any) -> dict[str, str]:
     """What does the same as a rotation of gravity, by its axis."""
-    minimal = tb.minimal_set(tree, "dynamic", gravity)
-    said = unidentifiable_rotations(tree, minimal).text
+    minimal = tb.minimal_set(tree, "torque", gravity)
+    said = gravity_rotation_diagnostic(tree, minimal).text
     return dict(re.findall(r"(\S+ \S+ \S+) \(([^)]*)\)", said))
 
 

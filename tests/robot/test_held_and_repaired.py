@@ -17,12 +17,16 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.core.base.errors import ModelError, UnknownName
-from testbed.core.robot.locks import Lock, parse_lock
-from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.core.robot.locks import JointLocks, parse_lock
+from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_consistent_bodies
 from testbed.core.robot.refusals import InertiaError, MimicError
-from testbed.core.robot.repair import LIGHTEST, THINNEST
-from testbed.core.robot.rigid_matter import SMALL, inertia_flaw, nearest_body
-from testbed.core.robot.rotations import from_rpy
+from testbed.core.robot.repair import MIN_MASS_RATIO, MIN_MOMENT_RATIO
+from testbed.core.robot.rigid_matter import (
+    POINT_MASS_RADIUS_RATIO,
+    inertia_flaw,
+    nearest_consistent_inertia,
+)
+from testbed.core.robot.rotations import rpy_to_matrix
 from testbed.lab.simulation.plant import build_plant
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
@@ -40,7 +44,7 @@ def written(robot: Robot | str, folder: Path | str, form: str = "urdf") -> Path:
     return path
 
 
-def assert_held(full: tb.Tree, path: Path, lock: Lock, held: Mapping[str, float]) -> tb.Tree:
+def assert_held(full: tb.Tree, path: Path, lock: JointLocks, held: Mapping[str, float]) -> tb.Tree:
     """What locked and standing joints need and exert is the same, whatever the others do.
 
     MuJoCo's plant agrees: it checks itself against the tree.
@@ -243,12 +247,15 @@ def test_the_nearest_body_is_the_projection_of_what_was_given(rng: Rng) -> None:
     second = second if np.linalg.eigvalsh(second)[-1] > 0 else -second
     mass, com = rng.uniform(0.1, 9), rng.normal(size=3) * 0.2
     given = tb.Inertia.about_centre(mass, com, np.trace(second) * np.eye(3) - second)
-    found = nearest_body(given, THINNEST, 1.0, 1.0)
+    found = nearest_consistent_inertia(given, MIN_MOMENT_RATIO, 1.0, 1.0)
     assert inertia_flaw("b", found.mass, found.central) is None
     assert found.mass == mass
     np.testing.assert_allclose(found.com, com, rtol=1e-13)
     new = np.trace(found.central) / 2 * np.eye(3) - found.central
-    change, slack = new - second, new - THINNEST * np.linalg.eigvalsh(second)[-1] * np.eye(3)
+    change, slack = (
+        new - second,
+        new - MIN_MOMENT_RATIO * np.linalg.eigvalsh(second)[-1] * np.eye(3),
+    )
     size = np.abs(second).max()
     assert min(np.linalg.eigvalsh(matrix)[0] for matrix in (change, slack)) >= -1e-12 * size
     assert abs(np.sum(change * slack)) <= 1e-12 * size**2
@@ -263,7 +270,7 @@ def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
     """The repair is possible, alters no other body and needs none again; the plant has the same."""
     with TemporaryDirectory() as folder:
         path = written(robot, folder, form)
-        sound, found = tb.load_tree(path), nearest_bodies(path)
+        sound, found = tb.load_tree(path), nearest_consistent_bodies(path)
         assert (found.links, found.bodies, found.diagnostics) == ({}, {}, ())
         for mass, moment in ((-1.0, 1e-3), (1.0, float("nan"))):  # no body is near
             written(spoiled(robot, mass, (1e-3, 1e-3, moment)), folder, form)
@@ -272,7 +279,7 @@ def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
         written(spoiled(robot, *never), folder, form)
         with refuses(InertiaError, "'j2_body'"):
             tb.load_tree(path, repair={})
-        found = nearest_bodies(path)
+        found = nearest_consistent_bodies(path)
         (body,) = found.bodies.values()
         assert inertia_flaw("j2_body", body.mass, body.central) is None
         tree, again = tb.load_tree(path), tb.load_tree(path, repair=found.bodies)
@@ -321,7 +328,7 @@ def test_bodies_out_of_scale_become_usual(
     build_plant(ModelFile(path), tree, 1e-3)
     with refuses(InertiaError, "'j2_body'"):
         tb.load_tree(path, repair={})
-    assert tb.load_tree(path, repair=nearest_bodies(path).bodies).diagnostics == ()
+    assert tb.load_tree(path, repair=nearest_consistent_bodies(path).bodies).diagnostics == ()
 
 
 def test_a_chains_bare_end_gets_matter_and_a_frame_on_the_way_does_not(tmp_path: Path) -> None:
@@ -335,11 +342,13 @@ def test_a_chains_bare_end_gets_matter_and_a_frame_on_the_way_does_not(tmp_path:
     mended = tb.load_tree(path)
     bare, arm, end = mended.inertias
     assert bare.mass == 0
-    assert end.mass == pytest.approx(LIGHTEST * (arm.mass + mended.pedestal.mass))
+    assert end.mass == pytest.approx(MIN_MASS_RATIO * (arm.mass + mended.pedestal.mass))
     square, *others = (
         float(np.trace(each.pseudo[:3, :3])) / each.mass for each in (end, arm, mended.pedestal)
     )
-    assert square == pytest.approx(SMALL**2 * max(others))  # its size fits the robot's
+    assert square == pytest.approx(
+        POINT_MASS_RADIUS_RATIO**2 * max(others)
+    )  # its size fits the robot's
     assert tb.load_tree(path, repair={}, lock={"j3": None}).n == 2  # held, it is a frame
     body = tb.Inertia.about_centre(2.0, (0.1, 0, 0), np.eye(3))
     given = tb.load_tree(path, repair={"j2_body": body, "j3_body": body})
@@ -361,4 +370,4 @@ def test_angles_rounded_in_the_file_are_right_ones_and_others_stay(tmp_path: Pat
     ):
         path = written(re.sub('rpy=".*?"', f'rpy="{said}"', text), tmp_path)
         turn = tb.load_tree(path).joints[0].rotation
-        np.testing.assert_allclose(turn, from_rpy(meant), atol=1e-15)
+        np.testing.assert_allclose(turn, rpy_to_matrix(meant), atol=1e-15)

@@ -16,13 +16,19 @@ from hypothesis import given
 
 import testbed as tb
 from testbed.bodies.shapes.appearance import load_appearance, load_shapes
-from testbed.bodies.shapes.shapes import Kind, Shape, bounds, equivalent_ellipsoids, sticks
+from testbed.bodies.shapes.shapes import (
+    Shape,
+    ShapeKind,
+    equivalent_ellipsoids,
+    shape_bounds,
+    stick_figure,
+)
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import ModelError
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.model_file import ModelFile, copy_model
-from testbed.core.robot.rotations import from_vector
+from testbed.core.robot.rotations import rotvec_to_matrix
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import trees
@@ -166,7 +172,7 @@ def test_a_robot_without_shapes_is_sticks_from_joint_to_joint(tree: tb.Tree) -> 
     radius = max(np.linalg.norm(joint.offset) for joint in tree.joints) / 30
     ends = [(joint.parent, *joint.offset) for joint in tree.joints]
     ends += [(j, *tree.inertias[j].com) for j in range(tree.n) if not tree.children(j)]
-    figure = list(sticks(tree))
+    figure = list(stick_figure(tree))
     drums = [shape.rotation[:, 2] for shape in figure if shape.kind == "cylinder"]
     np.testing.assert_allclose(drums, [joint.axis for joint in tree.joints], atol=1e-12)
     bars = [shape for shape in figure if shape.kind == "capsule"]
@@ -197,7 +203,7 @@ def test_ellipsoids_have_the_second_moments_of_their_bodies(tree: tb.Tree) -> No
 
 
 @pytest.mark.parametrize("kind", ["box", "ellipsoid", "cylinder", "capsule", "mesh"])
-def test_bounds_are_where_a_shape_ends(kind: Kind) -> None:
+def test_bounds_are_where_a_shape_ends(kind: ShapeKind) -> None:
     """In six directions, the farthest point of the shape by its support function."""
     rng = np.random.default_rng(3)
     size = rng.uniform(0.05, 0.5, 3 if kind in ("box", "ellipsoid") else 2)
@@ -208,9 +214,9 @@ def test_bounds_are_where_a_shape_ends(kind: Kind) -> None:
         "capsule": lambda u: size[0] + size[1] * abs(u[2]),
         "mesh": lambda u: (WEDGE @ u).max(),
     }
-    turn, place = from_vector(rng.normal(size=3)), rng.normal(size=3)
+    turn, place = rotvec_to_matrix(rng.normal(size=3)), rng.normal(size=3)
     mesh = (WEDGE, FACES) if kind == "mesh" else ()
-    low, high = bounds(Shape(-1, kind, size, place, turn, np.ones(4), *mesh))
+    low, high = shape_bounds(Shape(-1, kind, size, place, turn, np.ones(4), *mesh))
     for axis, along in enumerate(turn):  # the body's axis in the shape's own frame
         ends = place[axis] - reach[kind](-along), place[axis] + reach[kind](along)
         np.testing.assert_allclose([low[axis], high[axis]], ends, atol=1e-12)
@@ -221,10 +227,12 @@ def test_a_robot_stands_on_a_plate_that_arrows_are_clear_of(name: str) -> None:
     """Force arrows would be hidden in the robot; a plate that a file draws is not doubled."""
     path = GOLDEN / f"robots/{name}.urdf"
     robot = load_appearance(tb.load_tree(path), ModelFile(path))
-    lows, highs = np.array([bounds(each) for each in robot.shapes if each.body < 0]).swapaxes(0, 1)
+    lows, highs = np.array([shape_bounds(each) for each in robot.shapes if each.body < 0]).swapaxes(
+        0, 1
+    )
     assert ((lows[:, 2] < 0) & (highs[:, 2] >= -1e-9)).any()
     clear = [highs[:, 0].max() + 0.05 * robot.reach, lows[:, 1].min() - 0.05 * robot.reach]
-    np.testing.assert_allclose(robot.corner[:2], clear)
+    np.testing.assert_allclose(robot.clear_corner[:2], clear)
     puma = ModelFile(ROOT / "models/puma562.xml")
     drawn = load_shapes(puma, puma.tree()).shapes
     assert len(load_appearance(puma.tree(), puma).shapes) == len(drawn)

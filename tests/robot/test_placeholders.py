@@ -11,7 +11,7 @@ import pytest
 import testbed as tb
 from testbed.bodies.prior import prior_of
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.placeholders import placeholders
+from testbed.core.robot.placeholders import find_placeholders
 from tests.helpers.runs import robot
 
 LINK = """<link name="{0}"><inertial><origin xyz="{1}"/><mass value="{2}"/>
@@ -50,7 +50,7 @@ def test_a_body_that_nobody_measured_is_named(case: str, tmp_path: Path) -> None
     """Alone: its neighbours are not, and its prior is wider."""
     friction = ((0.31, 1.2), (0.27, 0.9), (0.12, 0.4))
     tree = arm({"a": TRUE, "b": CASES[case], "c": TRUE}, tmp_path, friction)
-    found = placeholders(tree)
+    found = find_placeholders(tree)
     assert [*found.links] == ["b"]
     assert (found.bodies, dict(found.friction)) == ((1,), {})
     assert "'b'" in found.diagnostics[0].text
@@ -59,7 +59,7 @@ def test_a_body_that_nobody_measured_is_named(case: str, tmp_path: Path) -> None
 
 def test_bodies_of_one_form_in_a_chain_are_named(tmp_path: Path) -> None:
     tree = arm(dict.fromkeys("abc", TRUE), tmp_path, ((0.31, 1.2), (0.27, 0.9), (0.12, 0.4)))
-    assert [*placeholders(tree).links] == ["a", "b", "c"]
+    assert [*find_placeholders(tree).links] == ["a", "b", "c"]
 
 
 @pytest.mark.parametrize(
@@ -78,11 +78,11 @@ def test_friction_that_nobody_measured_is_named(
     """One round number at most joints, or any one number at all of three."""
     other = ("0 .02 .11", 1.31, 0.0132, 0.0118, 0.0031)
     tree = arm({"a": TRUE, "b": other, "c": TRUE}, tmp_path, friction)
-    assert set(placeholders(tree).friction) == named
+    assert set(find_placeholders(tree).friction) == named
 
 
 def test_a_measured_robot_has_none() -> None:
-    found = placeholders(robot("puma"))
+    found = find_placeholders(robot("puma"))
     assert (found.links, found.friction, found.diagnostics) == ({}, {}, ())
 
 
@@ -90,4 +90,4 @@ def test_bodies_without_a_file_are_judged_as_they_are() -> None:
     tree = replace(robot("puma"), file=None)
     round_one = Inertia.about_centre(3.0, np.array([0, 0, 0.1]), 0.1 * np.eye(3))
     odd = replace(tree, inertias=(round_one, *tree.inertias[1:]))
-    assert placeholders(odd).bodies == (0,)
+    assert find_placeholders(odd).bodies == (0,)

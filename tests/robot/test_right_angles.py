@@ -47,7 +47,7 @@ def test_digits_do_not_change_what_can_be_identified(
     turns, axes = [each for each, _ in chain], [each for _, each in chain]
     exact, rounded = (robot_of(turns, axes, each, folder) for each in (16, digits))
     assert not exact.diagnostics
-    for kind in ("dynamic", "reaction"):
+    for kind in ("torque", "wrench"):
         sets = [tb.minimal_set(tree, kind) for tree in (exact, rounded)]
         assert sets[0].names == sets[1].names
         np.testing.assert_allclose(sets[0].matrix, sets[1].matrix, atol=1e-4)

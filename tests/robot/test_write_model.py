@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.bodies.write_model import Fixed, write_model, write_models
+from testbed.bodies.write_model import FixedLinkShare, write_model, write_models
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ModelError
 from testbed.core.robot.drive_torque import drive_torque
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.model_file import ModelFile, mimic_joints
-from testbed.lab.experiment.evaluate import wrong_bodies
+from testbed.lab.experiment.evaluate import perturbed_robot
 from tests.helpers.paths import REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.plants import by_mj_inverse
@@ -29,7 +29,7 @@ from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, assert_same_tree, random_robot, random_states
 from tests.helpers.strategies import few, robots, seeds
 
-FIXED: tuple[Fixed, ...] = ("lump", "share")
+FIXED: tuple[FixedLinkShare, ...] = ("lump", "share")
 CHANGED = re.compile(
     rb"<inertial\b[^>]*/>|<inertial>.*?</inertial>|<dynamics[^>]*/>|\s+(?:frictionloss|damping|armature)=\S+|\s+",
     re.DOTALL,
@@ -44,7 +44,7 @@ def other(tree: tb.Tree, seed: int = 0, *, rotors: bool = False) -> tb.Tree:
     losses: dict[str, dict[str, object]] = {
         name: {kind: float(rng.uniform(0, 5)) for kind in kinds} for name in tree.names
     }
-    return wrong_bodies(tree, 0.5, rng).with_joints(losses)
+    return perturbed_robot(tree, 0.5, rng).with_joints(losses)
 
 
 def rewritten(model: ModelFile, wanted: tb.Tree, path: Path, **how: Any) -> tuple[Diagnostic, ...]:
@@ -63,7 +63,9 @@ def rewritten(model: ModelFile, wanted: tb.Tree, path: Path, **how: Any) -> tupl
         (REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf", "lump"),
     ],
 )
-def test_what_is_written_is_read_the_rest_stays(path: Path, fixed: Fixed, tmp_path: Path) -> None:
+def test_what_is_written_is_read_the_rest_stays(
+    path: Path, fixed: FixedLinkShare, tmp_path: Path
+) -> None:
     """Comments, quotes and blanks of other people's files stay: differences stay readable."""
     model = ModelFile(path, path.stem.startswith("g1"), lock=dict.fromkeys(mimic_joints(path)))
     made = tmp_path / f"written{path.suffix}"

@@ -25,13 +25,14 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.campaigns.campaign import Campaign
 from testbed.campaigns.conduct import conduct
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.settings import DEFAULTS, Settings
+from testbed.core.parameters.rules import SIGNALS
 from testbed.core.recordings.views import with_base_joints
-from testbed.core.robot.free_root import on_free_base
+from testbed.core.robot.free_root import with_free_base
 from testbed.importing.check.mapping_solution import solve_mapping
-from testbed.importing.convert import pieces
-from testbed.importing.guess import guessed
+from testbed.importing.convert import import_recordings
+from testbed.importing.guess import guess_mapping
 from testbed.lab.experiment.excite import excite
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.motion.excite import Excitation
@@ -121,7 +122,7 @@ def _tree_of_30() -> tb.Run:
 
 def _free_base() -> tb.Run:
     tree, recording = humanoid(10.0, 100.0, 7, 1.0)
-    return run(on_free_base(tree), with_base_joints(recording))
+    return run(with_free_base(tree), with_base_joints(recording))
 
 
 def _drives() -> tb.Run:
@@ -151,17 +152,17 @@ def _imported() -> tb.Run:
     with TemporaryDirectory() as name:
         folder = Path(name)
         files = LAYOUTS["two_csv"](folder, made, raw_signals(made, identifiable), 11)
-        draft = guessed(files.paths, folder, made.tree.names)
+        draft = guess_mapping(files.paths, folder, made.tree.names)
         mapping = folder / "mapping.toml"
         mapping.write_text(solve_mapping(draft, mapping, made.tree).draft.text)
-        (recording,), _ = pieces(mapping)
+        (recording,), _ = import_recordings(mapping)
     return run(made.tree, recording)
 
 
 def _several() -> tb.Run:
     tree = robot("puma")
     parts = [measured(tree, seed, duration=5.0) for seed in (12, 13)]
-    found = {method: tb.identify(tree, tb.Joined(parts), method) for method in METHODS}
+    found = {method: tb.identify(tree, tb.Joined(parts), method) for method in SIGNALS}
     return replace(run(tree, parts[0]), estimates=found)
 
 
@@ -221,11 +222,11 @@ def figures_of(found: Any) -> Iterator[tuple[str, ArrayLike]]:
     elif isinstance(found, PayloadEstimate):
         yield "values", found.values[list(found.identifiable)]
         yield "sigma", found.sigma[list(found.identifiable)]
-        yield "chance", found.chance
+        yield "chance", found.p_value
     elif isinstance(found, Calibration):
         yield "matrix", found.matrix
         if found.estimate is not None:
-            yield from figures_of_estimate("external", found.estimate)
+            yield from figures_of_estimate("wrench", found.estimate)
     elif isinstance(found, Excitation):
         yield "coefficients", found.design.motion.coefficients
         yield "sigma", found.predicted.sigma

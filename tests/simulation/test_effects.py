@@ -18,8 +18,8 @@ from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.rotor_spin import with_rotor_spin
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.rig import robot_of
-from testbed.lab.simulation.effect import Effect, StepForces
-from testbed.lab.simulation.effects import KINDS, effect_of
+from testbed.lab.simulation.effect import Effect, ForceFunction
+from testbed.lab.simulation.effects import EFFECT_KINDS, effect_from_table
 from testbed.lab.simulation.plant import Plant, build_plant
 from testbed.lab.simulation.rollout import Rollout, Sampling, simulate_motion
 from tests.helpers.paths import ROOT
@@ -36,7 +36,7 @@ def taken(tree: Tree, qd: Array, motor: float = 0.0, steps: int = 1, **table: ob
     """What friction takes at speeds, one joint's."""
     found = []
     for speed in qd:
-        push = effect_of(table).on(tree.names).forces(tree, 1e-3)
+        push = effect_from_table(table).for_joints(tree.names).force_function(tree, 1e-3)
         assert push is not None
         for _ in range(steps):
             force = push(0.0, np.zeros(tree.n), np.full(tree.n, speed), np.full(tree.n, motor))
@@ -72,11 +72,11 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> tuple[Tree, Path]:
 
 
 def run(
-    robot: tuple[Tree, Path], sampling: Sampling, forces: StepForces | None, viscous: float = 0.0
+    robot: tuple[Tree, Path], sampling: Sampling, forces: ForceFunction | None, viscous: float = 0.0
 ) -> Rollout:
     tree, path = robot
     rubbing = tree.with_joints({name: {"viscous": viscous} for name in tree.names})
-    plant = build_plant(ModelFile(path), rubbing, STEP, changed=tree.names)
+    plant = build_plant(ModelFile(path), rubbing, STEP, changed_joints=tree.names)
     return simulate_motion(plant, tree, waving(3), 0.4, 60.0, sampling, forces=forces)
 
 
@@ -113,7 +113,7 @@ def test_a_sample_that_is_integrated_at_once_is_that_of_its_small_steps(
     tree = tb.load_tree(path)
     frictions = zip(tree.names, *rng.uniform(0, 1, (2, tree.n)), strict=True)
     tree = tree.with_joints({name: {"coulomb": c, "viscous": v} for name, c, v in frictions})
-    plant = build_plant(ModelFile(path), tree, STEP, changed=tree.names)
+    plant = build_plant(ModelFile(path), tree, STEP, changed_joints=tree.names)
     for averaged in (True, False):
         asked = tree, waving(tree.n), 0.5, 60.0, Sampling(1000.0, 4, averaged, 0.1)
         short, all_steps = (
@@ -129,8 +129,8 @@ def test_a_sample_that_is_integrated_at_once_is_that_of_its_small_steps(
 
 def built(tree: Tree, path: Path = PUMA, **table: object) -> tuple[Effect, tb.Tree, Plant]:
     """An effect on a robot, and the plant with it."""
-    effect = effect_of(table).on(tree.names)
-    loaded = effect.robot(tree)
+    effect = effect_from_table(table).for_joints(tree.names)
+    loaded = effect.robot_with_effect(tree)
     return effect, loaded, build_plant(ModelFile(path), loaded, 1e-3, effects=[effect])
 
 
@@ -160,25 +160,29 @@ def test_a_rotors_spin_reaches_the_plate_by_its_law(robot: tuple[Tree, Path], pu
             tb.load_tree(path), path, kind="geared_rotor", inertia=3e-4, ratio=-50.0
         )
         data, (q, qd, motor) = mujoco.MjData(plant.model), rng.uniform(0.5, 1.0, (3, loaded.n))
-        data.qpos[:], data.qvel[:], data.ctrl[:] = plant.dofs @ q, plant.dofs @ qd, motor
+        data.qpos[:], data.qvel[:], data.ctrl[:] = (
+            plant.velocity_ratios @ q,
+            plant.velocity_ratios @ qd,
+            motor,
+        )
         mujoco.mj_forward(plant.model, data)
-        motion = tb.Motion(np.zeros(1), q[None], qd[None], data.qacc[plant.order][None])
+        motion = tb.Motion(np.zeros(1), q[None], qd[None], data.qacc[plant.velocity_index][None])
         still = tb.base_wrench(loaded, motion)[0]
         turning = with_rotor_spin(loaded, dict.fromkeys(loaded.names, -50.0 * 3e-4))
         spun = tb.base_wrench(turning, motion)[0] - still
-        felt = plant.X_BS.wrench(data.sensordata[plant.plate]) - plant.tare - still
+        felt = plant.X_BS.wrench(data.sensordata[plant.plate_index]) - plant.tare - still
         np.testing.assert_allclose(felt, spun, atol=1e-3 * np.abs(spun).max())
-    minimal = tb.minimal_set(puma, "reaction", zeros=True)
+    minimal = tb.minimal_set(puma, "wrench", zeros=True)
     spun = with_rotor_spin(puma, {"waist": 0.018})
     more = minimal.values(tb.barycentric(spun)) - minimal.values(tb.barycentric(puma))
     expected = [0.018 * (name == "K*1zz") for name in minimal.names]
     np.testing.assert_allclose(more, expected, atol=1e-15)
     asked = tb.Experiment.of_model(PUMA, ["robot.joint.waist.rotor_spin=0.018"])
-    assert (asked.robot.spins, robot_of(asked).names) == ({"waist": 0.018}, puma.names)
+    assert (asked.robot.rotor_spins, robot_of(asked).names) == ({"waist": 0.018}, puma.names)
     tree = robot[0]
     sliding = next(joint.name for joint in tree.joints if not joint.revolute)
     with refuses(SettingsError, sliding):
-        effect_of({"kind": "geared_rotor"}).on(tree.names).robot(tree)
+        effect_from_table({"kind": "geared_rotor"}).for_joints(tree.names).robot_with_effect(tree)
     with refuses(ModelError, sliding):
         with_rotor_spin(tree, {sliding: 0.1})
 
@@ -197,7 +201,7 @@ def test_the_bedplate_gives_way_and_tilts_as_asked(puma: Tree) -> None:
     pulse = 160 * np.pi
     np.testing.assert_allclose(model.jnt_stiffness[plate], moved * pulse**2, rtol=1e-6)
     np.testing.assert_allclose(model.dof_damping[plate], 0.2 * moved * pulse, rtol=1e-6)
-    again = effect_of(soft)
+    again = effect_from_table(soft)
     with refuses(SettingsError, "compliant_plate"):
         build_plant(ModelFile(PUMA), puma, 1e-3, effects=[again, again])
     tilted = built(puma, kind="tilt", angle=0.1, direction=np.pi / 2)[2]
@@ -209,7 +213,7 @@ def test_the_bedplate_gives_way_and_tilts_as_asked(puma: Tree) -> None:
 def test_an_experiment_file_says_effects() -> None:
     """Every kind is read with its defaults and written back."""
     file = ROOT / "experiments/noise_free.toml"
-    for kind, made in KINDS.items():
+    for kind, made in EFFECT_KINDS.items():
         experiment = tb.Experiment.from_toml(file, [f'simulation.effect=[{{kind="{kind}"}}]'])
         assert experiment.simulation.effect == (made(),)
         assert f'kind = "{kind}"' in experiment.as_toml()
@@ -235,10 +239,12 @@ def test_gears_take_what_their_law_says_of_the_load(
         "kind": "load_friction", "share": share.tolist(), "driven": back.tolist(),
         "viscous_load": viscous.tolist(), "static": static.tolist(), "speed": 0.2,
     }  # fmt: skip
-    effect = effect_of(said).on(tree.names)
-    plant = build_plant(ModelFile(path), tree, STEP, changed=tree.names, effects=(effect,))
+    effect = effect_from_table(said).for_joints(tree.names)
+    plant = build_plant(ModelFile(path), tree, STEP, changed_joints=tree.names, effects=(effect,))
     sampling = Sampling(1000.0, 4, False, 0.1)
-    run = simulate_motion(plant, tree, waving(n), 0.4, 60.0, sampling, gears=effect.gears(tree))
+    run = simulate_motion(
+        plant, tree, waving(n), 0.4, 60.0, sampling, gears=effect.gear_friction(tree)
+    )
     true = run.truth
     load = true.torque - true.friction - rotor * true.acceleration
     motion = tb.Motion(run.time, true.position, true.velocity, true.acceleration)

@@ -69,7 +69,7 @@ def test_friction_never_reaches_the_plate_wherever_its_sensor_sits(
     q, qd, effort = rng.uniform(-1, 1, (3, 3)) * np.array([[2.3], [2.0], [60.0]])
     qdd, friction, wrench = sensed(plant, q, qd, effort)
     assert np.abs(friction).max() > 2.0
-    smooth = build_plant(ModelFile(PUMA), puma, 1e-4, friction=False)
+    smooth = build_plant(ModelFile(PUMA), puma, 1e-4, with_friction=False)
     same, none, other = sensed(smooth, q, qd, effort - friction)
     assert not none.any()
     np.testing.assert_allclose(same, qdd, rtol=1e-9, atol=1e-9)
@@ -127,7 +127,7 @@ def test_on_a_light_robot_a_weak_spring_is_named_and_strong_friction_is_not(
         tree = tb.load_tree(path)
         plant = build_plant(ModelFile(path), tree, 5e-4)
         assert plant.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-        at = plant.order[joint]
+        at = plant.velocity_index[joint]
         plant.model.jnt_stiffness[at], plant.model.qpos_spring[at] = 1e-3, 0.5
         with refuses(ModelError, f"'{tree.names[joint]}'"):
             check_plant(plant, tree, path)
@@ -223,7 +223,7 @@ def test_what_is_watched_is_what_is_recorded_and_what_went_before(puma: tb.Tree)
         build_plant(ModelFile(PUMA), puma, 1e-3), puma, waving(3), 2.0, 60.0,
         Sampling(1000.0, 1, False, 0.3),
         progress=lambda now, total: done.append((now, total)),
-        watch=lambda time, truth: seen.append((time, truth)),
+        report_block=lambda time, truth: seen.append((time, truth)),
     )  # fmt: skip
     assert done == [(1000, 2300), (2000, 2300), (2300, 2300)]
     time = np.concatenate([t for t, _ in seen])
@@ -243,12 +243,12 @@ def test_tracking_and_saturation_are_told_and_a_lost_or_unstable_run_is_refused(
     """The waving takes the shoulder to its limit."""
     done = run(puma, PUMA, waving(3), INSTANTS, 1e-3)
     away = done.truth.position - waving(3).at(done.time).q
-    np.testing.assert_allclose(done.tracking, np.sqrt(np.mean(away**2, axis=0)), rtol=1e-9)
+    np.testing.assert_allclose(done.tracking_error, np.sqrt(np.mean(away**2, axis=0)), rtol=1e-9)
     limits = np.array([joint.max_effort for joint in puma.joints])
     at_limit = np.abs(done.truth.torque) == limits
     assert (np.abs(done.truth.torque) <= limits).all()
-    np.testing.assert_array_equal(done.saturated, at_limit.mean(axis=0))
-    assert 0 < done.saturated.max() < 1
+    np.testing.assert_array_equal(done.saturated_fraction, at_limit.mean(axis=0))
+    assert 0 < done.saturated_fraction.max() < 1
     with refuses(SimulationDiverged, "shoulder"):
         run(with_all(puma, max_effort=0.5), PUMA, waving(3), INSTANTS, 1e-3)
     strong, plant = with_all(puma, max_effort=np.inf), build_plant(ModelFile(PUMA), puma, 1e-3)

@@ -24,7 +24,7 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.equations.equations import FORMS, KINDS, Equations, Form, Listing, equations
 from testbed.equations.languages import Language, write_equations
-from testbed.equations.robot import almost_right, right_angles
+from testbed.equations.robot import near_right_angles, with_right_angles
 from tests.helpers.generated import c_call, c_library, latex_blocks, latex_reader, python_module
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.pinocchio import by_pinocchio
@@ -90,7 +90,7 @@ def by_latex(listing: Listing, states: tuple[Array, ...], source: str) -> Iterat
         known = dict(constants)
         if not each.kind.is_regressor:
             for value, parameter in zip(vector(each, listing), each.parameters, strict=True):
-                known[parameter.label.stem.latex] = value / parameter.times
+                known[parameter.label.without_multiple.latex] = value / parameter.multiple
         found = []
         for sample in zip(*states, strict=True):
             names, result = dict(known), np.zeros(each.shape)
@@ -100,8 +100,8 @@ def by_latex(listing: Listing, states: tuple[Array, ...], source: str) -> Iterat
             for label, (left, right) in zip(written, block, strict=False):
                 assert left not in names, f"{left} stands for two things"
                 names[left] = value_of(right, names, sample[0])
-                if label in each.places:
-                    result[each.places[label]] = names[left]
+                if label in each.result_indices:
+                    result[each.result_indices[label]] = names[left]
             found.append(result)
         yield found
 
@@ -111,8 +111,8 @@ def check(listing: Listing, urdf: str, seed: int = 0) -> None:
     states = random_states(np.random.default_rng(seed), 2, listing.tree.n)
     witness = by_pinocchio(urdf, listing.tree, states)
     wanted = {
-        "joint-forces": witness.forces, "dynamic-regressor": witness.forces,
-        "base-wrench": witness.wrench, "reaction-regressor": witness.wrench,
+        "joint-forces": witness.forces, "torque-regressor": witness.forces,
+        "base-wrench": witness.wrench, "wrench-regressor": witness.wrench,
         "mass-matrix": witness.mass, "gravity-forces": witness.gravity,
     }  # fmt: skip
     for kind, found in computed(listing, states).items():
@@ -191,7 +191,7 @@ def test_operations_are_as_few_as_they_were(name: str) -> None:
 
 def test_the_same_bits_in_every_process() -> None:
     """Nothing depends on the order of hashes: generated code can be kept under version control."""
-    what = [str(GOLDEN / "robots/gantry_ppp_rrr.urdf"), "--what", "dynamic-regressor"]
+    what = [str(GOLDEN / "robots/gantry_ppp_rrr.urdf"), "--what", "torque-regressor"]
     how = ["--form", "reduced", "--language", "python"]
     command = [sys.executable, "-m", "testbed", "equations", *what, *how]
     seeded = [os.environ | {"PYTHONHASHSEED": seed} for seed in ("1", "2")]
@@ -224,5 +224,7 @@ def test_turns_close_to_quarter_turns_are_said_and_squared_and_others_stay(off: 
     joint = tb.Joint("a", "b", "revolute", -1, axis, np.zeros(3), np.eye(3))
     tree = tb.Tree("one", (joint,), (tb.Inertia(1.0, np.ones(3), np.eye(3)),))
     close = abs(off) < 1e-4
-    np.testing.assert_array_equal(right_angles(tree).joints[0].axis, [0, 0, 1] if close else axis)
-    assert set(almost_right(tree)) == ({"a"} if 1e-12 < abs(off) < 1e-4 else set())
+    np.testing.assert_array_equal(
+        with_right_angles(tree).joints[0].axis, [0, 0, 1] if close else axis
+    )
+    assert set(near_right_angles(tree)) == ({"a"} if 1e-12 < abs(off) < 1e-4 else set())

@@ -18,18 +18,18 @@ from testbed.core.base.errors import ExpressionError, UnknownName
 from testbed.equations.compare import compare_equations, read_listing
 from testbed.equations.equations import FORMS, Form, equations
 from testbed.equations.expression import (
-    LARGEST_NUMBER,
+    MAX_COEFFICIENT,
     Expression,
-    Nature,
+    FactorKind,
     cosine,
     expression,
     number,
     sine,
     symbol,
 )
-from testbed.equations.languages.latex import line
-from testbed.equations.polynomial import LARGEST, Ring
-from testbed.equations.simplify import natural_angles, simplify
+from testbed.equations.languages.latex import expression_line
+from testbed.equations.polynomial import MAX_DEGREE, PolynomialRing
+from testbed.equations.simplify import body_angles, simplify
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
@@ -47,7 +47,7 @@ HALVES = "\n + Ks2d*qp1*qp2*S22 + K3d*qp1*qp2*S2233 + K3d*qp1*qp3*S2233\n"
 
 def same(a: Expression | float, b: Expression | float) -> bool:
     """Whether two expressions are equal, whatever way they are written: exactly."""
-    return not Ring().expand(expression(a) - expression(b)).parts
+    return not PolynomialRing().expand(expression(a) - expression(b)).parts
 
 
 def terms(text: str) -> dict[str, list[tuple[str, list[str]]]]:
@@ -165,11 +165,11 @@ def test_the_limit_of_terms_holds_and_changes_nothing_else() -> None:
 NAMES = {
     name: symbol(nature, name, rank)
     for nature, names in (
-        (Nature.ACCELERATION, ("qpp1", "qpp2")),
-        (Nature.VELOCITY, ("qp1", "qp2")),
-        (Nature.PARAMETER, ("K1zz", "mb2z")),
-        (Nature.POSITION, ("q1", "q2", "q3")),
-        (Nature.CONSTANT, ("l12z", "g")),
+        (FactorKind.ACCELERATION, ("qpp1", "qpp2")),
+        (FactorKind.VELOCITY, ("qp1", "qp2")),
+        (FactorKind.PARAMETER, ("K1zz", "mb2z")),
+        (FactorKind.POSITION, ("q1", "q2", "q3")),
+        (FactorKind.CONSTANT, ("l12z", "g")),
     )
     for rank, name in enumerate(names)
 }
@@ -192,7 +192,7 @@ anything = st.recursive(
     ),
     max_leaves=8,
 )
-WAVES = {Nature.COSINE: math.cos, Nature.SINE: math.sin}
+WAVES = {FactorKind.COSINE: math.cos, FactorKind.SINE: math.sin}
 
 
 def value(e: Expression, at: dict[str, float]) -> float:
@@ -202,7 +202,7 @@ def value(e: Expression, at: dict[str, float]) -> float:
         product = float(size)
         for factor in factors:
             inside = at[factor.name] if factor.content is None else value(factor.content, at)
-            product *= WAVES.get(factor.nature, float)(inside)
+            product *= WAVES.get(factor.kind, float)(inside)
         total += product
     return total
 
@@ -231,14 +231,14 @@ def test_written_anew_or_read_back_it_is_the_same_and_one_more_term_is_not(
     e: Expression, seed: int, name: str, power: int
 ) -> None:
     """However small the term: a comparison that forgives would call a wrong listing right."""
-    ring = Ring([[f.terms[0][0][0] for f in Q]])
-    natural = natural_angles(ring, [*Q, Q[0] + Q[1], Q[1] + Q[2], Q[0] + Q[1] + Q[2]])
+    ring = PolynomialRing([[f.terms[0][0][0] for f in Q]])
+    natural = body_angles(ring, [*Q, Q[0] + Q[1], Q[1] + Q[2], Q[0] + Q[1] + Q[2]])
     written = simplify(ring, ring.expand(e), natural)
     at = somewhere(seed)
     assert value(written, at) == pytest.approx(value(e, at), rel=1e-9, abs=1e-9)
     assert same(written, e)
     plain = simplify(ring, ring.expand(e), frozenset())
-    assert same(read_listing(f"Q1 = {line(plain)}", NAMES)["Q1"], e)
+    assert same(read_listing(f"Q1 = {expression_line(plain)}", NAMES)["Q1"], e)
     more = NAMES[name]
     for _ in range(power):
         more = expression(more * cosine(Q[0] + Q[1]))
@@ -267,7 +267,7 @@ def test_numbers_are_exact_and_written_as_people_do(over: int, shift: int) -> No
     total = number(size) + number(size) * number(3)
     assert Fraction(total.terms[0][1] if total else 0) == wanted * 4
     value = expression(NAMES["g"] * size)
-    text = line(value)
+    text = expression_line(value)
     if wanted and wanted.denominator in (2, 4, 8, 16, 32, 64):
         assert text.lstrip("-") == f"{abs(wanted)}*g"
     assert read_listing(f"Q1 = {text}", NAMES)["Q1"] == value
@@ -307,14 +307,14 @@ def test_signs_powers_and_angles_that_cancel_are_read() -> None:
 def test_numbers_up_to_the_largest_and_degrees_up_to_the_greatest_are_exact() -> None:
     """Beyond, an answer would be wrong without a word: it is refused."""
     x = NAMES["g"]
-    for size in (LARGEST_NUMBER, -LARGEST_NUMBER, 1 / LARGEST_NUMBER):
+    for size in (MAX_COEFFICIENT, -MAX_COEFFICIENT, 1 / MAX_COEFFICIENT):
         assert x * size - x * size == number(0)
-    for wrong in (LARGEST_NUMBER * 1.01, float("nan")):
+    for wrong in (MAX_COEFFICIENT * 1.01, float("nan")):
         with refuses(ExpressionError):
             x * wrong
     for one, other in ((31, 32), (0, 48), (63, 0)):
         product = math.prod([x] * one + [Q[0]] * other, start=expression(1))
-        ring = Ring()
+        ring = PolynomialRing()
         assert simplify(ring, ring.expand(product), frozenset()) == product
-        with refuses(ExpressionError, str(LARGEST)):
-            same(math.prod([x] * (LARGEST + 1 - one - other), start=product), 0)
+        with refuses(ExpressionError, str(MAX_DEGREE)):
+            same(math.prod([x] * (MAX_DEGREE + 1 - one - other), start=product), 0)

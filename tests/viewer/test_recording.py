@@ -17,17 +17,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from testbed.bodies.shapes.appearance import load_appearance
-from testbed.bodies.shapes.shapes import Shape, bounds
+from testbed.bodies.shapes.shapes import Shape, shape_bounds
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import ViewerError
-from testbed.core.estimation.estimate import METHODS
-from testbed.view.viewer.blueprint import blueprint
-from testbed.view.viewer.curves import BINS, FEW, thinned
-from testbed.view.viewer.live import Live, open_viewer, serve
-from testbed.view.viewer.log import write_motion_rrd, write_rrd
-from testbed.view.viewer.robot_drawing import ARROW
-from testbed.view.viewer.scene import Scene, means, pressure, scene_of
+from testbed.core.parameters.rules import SIGNALS
+from testbed.view.viewer.blueprint import runs_blueprint
+from testbed.view.viewer.curves import INTERVAL_RATE, MIN_INTERVAL_SAMPLES, interval_extremes
+from testbed.view.viewer.live import LiveViewer, become_viewer, serve_viewer
+from testbed.view.viewer.log import write_motion_rrd, write_runs_rrd
+from testbed.view.viewer.robot_drawing import MAX_ARROW_SHARE
+from testbed.view.viewer.scene import Scene, block_means, build_scene, pressure
 from tests.helpers.pages import checked, run_named
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
@@ -40,13 +40,13 @@ slow = pytest.mark.slow
 
 @cache
 def scene(name: str) -> Scene:
-    return scene_of(run_named(name))
+    return build_scene(run_named(name))
 
 
 @cache
 def rrd(name: str) -> Path:
     path = Path(mkdtemp()) / f"{name}.rrd"
-    write_rrd([scene(name)], path)
+    write_runs_rrd([scene(name)], path)
     return path
 
 
@@ -54,20 +54,20 @@ def rrd(name: str) -> Path:
 def test_signals_predictions_and_residuals_are_in_the_file() -> None:
     """Curves one over the other are all seen."""
     shown, path = scene("ur5"), rrd("ur5")
-    for found, at in ((shown.predictions, ""), (shown.smooth, "/residual")):
+    for found, at in ((shown.predictions, ""), (shown.smoothed_predictions, "/residual")):
         for channel in found.channels:
-            every = [channel.residuals[m] for m in METHODS] if at else [
-                channel.measured, *(channel.predicted[m] for m in METHODS)
+            every = [channel.residuals[m] for m in SIGNALS] if at else [
+                channel.measured, *(channel.predicted[m] for m in SIGNALS)
             ]  # fmt: skip
             place = f"{at}/{channel.kind}/{channel.name}"
             written = columns(path, place, SCALARS).reshape(-1, len(every))
-            _, wanted = thinned(found.motion.t, np.column_stack(every))
+            _, wanted = interval_extremes(found.motion.t, np.column_stack(every))
             np.testing.assert_array_equal(written, wanted)
             widths = columns(path, place, "SeriesLines:widths", static=True)
             assert (np.diff(widths) <= -1.0).all()
     written = columns(path, "/position", SCALARS).reshape(-1, shown.run.tree.n)
     recording = shown.run.recording
-    np.testing.assert_array_equal(written, thinned(recording.time, recording.position)[1])
+    np.testing.assert_array_equal(written, interval_extremes(recording.time, recording.position)[1])
 
 
 @given(rngs, st.floats(10, 3000), st.integers(2, 5000))
@@ -76,15 +76,19 @@ def test_what_is_thinned_looks_the_same(rng: np.random.Generator, rate: float, c
     time = 7.0 + np.arange(count) / rate
     values = np.column_stack([rng.normal(size=(count, 2)), np.arange(count)])
     values[rng.integers(count), 0] = -1e6
-    instants, shown = thinned(time, values)
-    assert len(shown) == len(instants) <= max(2 * FEW * BINS, 2.6 * BINS) * count / rate + 4
+    instants, shown = interval_extremes(time, values)
+    assert (
+        len(shown)
+        == len(instants)
+        <= max(2 * MIN_INTERVAL_SAMPLES * INTERVAL_RATE, 2.6 * INTERVAL_RATE) * count / rate + 4
+    )
     for end in (np.min, np.max):
         np.testing.assert_array_equal(end(shown, axis=0), end(values, axis=0))
     np.testing.assert_array_equal(time[shown[:, 2].astype(int)], instants)
-    if rate < FEW * BINS:
+    if rate < MIN_INTERVAL_SAMPLES * INTERVAL_RATE:
         assert len(shown) == count
     else:
-        step = 1 / BINS + 1 / rate
+        step = 1 / INTERVAL_RATE + 1 / rate
         for k in range(0, len(shown), 7):
             near = np.abs(time - instants[k]) <= step
             assert np.isin(shown[k], values[near]).all()
@@ -113,16 +117,18 @@ def test_the_robot_stands_as_it_stood_and_the_arrows_are_the_measured_reaction()
     """Beside everything on the bedplate, where nothing hides them; shapes in place and colour."""
     shown, path = scene("ur5"), rrd("ur5")
     run = shown.run
-    assert_stands(path, GOLDEN / "robots/ur5.urdf", shown.motion.q[shown.frames], run.tree.names)
-    assert shown.frames.step == round(run.recording.rate / 50)
+    assert_stands(
+        path, GOLDEN / "robots/ur5.urdf", shown.motion.q[shown.pose_samples], run.tree.names
+    )
+    assert shown.pose_samples.step == round(run.recording.rate / 50)
     assert shown.wrench is not None
-    wrench, look = means(shown.wrench, round(run.recording.rate / 50)), shown.appearance
+    wrench, look = block_means(shown.wrench, round(run.recording.rate / 50)), shown.appearance
     for name, vectors in (("force", wrench[:, :3]), ("moment", wrench[:, 3:])):
         found = columns(path, f"/world/bedplate/{name}", "Arrows3D:vectors").reshape(-1, 3)
-        scale = ARROW * look.reach / np.linalg.norm(vectors, axis=1).max()
+        scale = MAX_ARROW_SHARE * look.reach / np.linalg.norm(vectors, axis=1).max()
         np.testing.assert_allclose(found, vectors * scale, rtol=1e-5, atol=1e-6)
         origins = columns(path, f"/world/bedplate/{name}", "Arrows3D:origins").reshape(-1, 3)
-        for low, high in (bounds(shape) for shape in look.shapes if shape.body < 0):
+        for low, high in (shape_bounds(shape) for shape in look.shapes if shape.body < 0):
             assert ((origins[:, 0] > high[0]) & (origins[:, 1] < low[1])).all()
     for k, shape in enumerate(look.shapes):
         part = f"robot/{shape.body + 1}" if shape.body >= 0 else "bedplate"
@@ -156,7 +162,7 @@ def test_bodies_that_can_exist_hang_on_their_links_with_the_estimates_size() -> 
 def test_what_was_not_measured_is_not_in_the_file_and_runs_stand_side_by_side(
     tmp_path: Path,
 ) -> None:
-    write_rrd([scene("half"), scene("silent")], tmp_path / "two.rrd")
+    write_runs_rrd([scene("half"), scene("silent")], tmp_path / "two.rrd")
     entities = tree(tmp_path / "two.rrd")
     first = {entity.split("/")[2] for entity in entities if entity.startswith("/run1/")}
     assert "torque" in first
@@ -217,12 +223,12 @@ def views(part: Any) -> Iterator[Any]:
 def test_every_view_looks_at_something_and_has_its_unit(name: str) -> None:
     """All are opened on the same seconds."""
     shown, there = scene(name), tree(rrd(name))
-    page = blueprint([shown])
+    page = runs_blueprint([shown])
     for view in views(page.root_container):
         assert any(f"{at}/".startswith(f"{view.origin}/") for at in there), view.origin
         if view.origin.startswith(("/wrench", "/torque", "/residual")):
             assert "[" in view.name
-    start, end = shown.window
+    start, end = shown.time_window
     assert start == shown.run.recording.time[0]
     assert 0 < end - start <= 10.0
     for view in views(page.root_container):
@@ -255,16 +261,16 @@ def test_the_viewer_is_started_for_this_machine_alone_where_there_is_a_screen(
         monkeypatch.delenv(name, raising=False)
     if screen:
         monkeypatch.setenv(screen, "0")
-        open_viewer(Path("run.rrd"))
+        become_viewer(Path("run.rrd"))
     else:
         with refuses(ViewerError, "run.rrd"):
-            open_viewer(Path("run.rrd"))
-    serve(Path("run.rrd"), 9123)
+            become_viewer(Path("run.rrd"))
+    serve_viewer(Path("run.rrd"), 9123)
     (tmp_path / "beside/rerun").unlink()
-    serve(Path("run.rrd"), 9123)
+    serve_viewer(Path("run.rrd"), 9123)
     (tmp_path / "path/rerun").unlink()
     with refuses(ViewerError, "rerun"):
-        serve(Path("run.rrd"), 9123)
+        serve_viewer(Path("run.rrd"), 9123)
     programs = [str(tmp_path / at / "rerun") for at in ("beside", "path")]
     assert [program for program, _ in started] == [programs[0]] * bool(screen) + programs
     assert all(each["CI"] and "FORCE_RERUN_ANALYTICS" not in each for each in environments)
@@ -278,4 +284,4 @@ def test_the_viewer_is_started_for_this_machine_alone_where_there_is_a_screen(
 def test_a_viewer_that_is_not_there_is_named_by_its_port() -> None:
     port = free_port()
     with refuses(ViewerError, str(port)):
-        Live("run", scene("silent").appearance, port)
+        LiveViewer("run", scene("silent").appearance, port)

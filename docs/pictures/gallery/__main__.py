@@ -28,20 +28,20 @@ from docs.gallery import (
 )
 from docs.marks import write
 from docs.pictures.drawing import error_dots, placed, save
-from docs.pictures.explained import errors_of
+from docs.pictures.explained import errors_of_run
 from testbed.campaigns.campaign import Campaign
 from testbed.campaigns.conduct import conduct
-from testbed.campaigns.results import RESULTS, read_results
+from testbed.campaigns.results import RESULTS_FILE, read_campaign_results
 from testbed.campaigns.summary import summarise
-from testbed.cli.reading import Reading
-from testbed.lab.experiment.summary import obtained, percent
+from testbed.cli.reading import ReadingOptions
+from testbed.lab.experiment.summary import metric_text, percent_text
 from testbed.view.drawing import svg
 from testbed.view.drives import curve_lines
 from testbed.view.figures import Panel
 
 PACKAGE = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data"
-METHODS = {"external": "force plate", "internal": "joint torques"}
-ESTIMATED = {"internal": "with the fault", "external": "with it estimated"}
+METHODS = {"wrench": "force plate", "torque": "joint torques"}
+ESTIMATED = {"torque": "with the fault", "wrench": "with it estimated"}
 
 
 def main(names: list[str]) -> None:
@@ -66,8 +66,10 @@ def counted(robot: Robot) -> dict[str, int]:
     """Count a robot's joints and base parameters."""
     folder = PACKAGE if robot.file.startswith("robots/") else ROOT
     model, held = folder / robot.file, [*robot.lock]
-    tree = Reading(model, weld_root=robot.weld, lock=held, lock_mimic=robot.mimic).file.tree()
-    counts = {of: tb.minimal_set(tree, of).count for of in ("dynamic", "reaction")}
+    tree = ReadingOptions(
+        model, weld_root=robot.weld, lock=held, lock_mimic=robot.mimic
+    ).file.tree()
+    counts = {of: tb.minimal_set(tree, of).count for of in ("torque", "wrench")}
     return {"joints": tree.n, **counts}
 
 
@@ -78,11 +80,12 @@ def carried_out(path: Path) -> dict[str, str]:
     if run.drives is not None:
         shows = draw_friction(path.stem, run)
     else:
-        width, height, parts = error_dots(errors_of(run), {m: METHODS[m] for m in run.estimates})
+        errors = errors_of_run(run)
+        width, height, parts = error_dots(errors, {m: METHODS[m] for m in run.estimates})
         shows = "Relative errors of the parameters, by the plate and by joint torques"
         save(f"gallery/{path.stem}", width, height, parts, shows)
     found = [
-        f"{name.replace('_', ' ')} {obtained(run, name)} ({bound.wanted})"
+        f"{name.replace('_', ' ')} {metric_text(run, name)} ({bound.wanted})"
         for name, bound in experiment.expect.items()
     ]
     said = f"Obtained: {'; '.join(found)}."
@@ -96,9 +99,9 @@ def draw_friction(name: str, run: Any) -> str:
         speed, torque, sigma = curve_lines(curve)
         panel = Panel(
             f"friction of {curve.joint} [{curve.unit}]",
-            {"external": (speed, torque)},
+            {"wrench": (speed, torque)},
             "speed [rad/s]",
-            bands={"external": 2 * sigma},
+            bands={"wrench": 2 * sigma},
         )
         parts.append(placed(svg(panel), 0, k * height, 400, height))
     shows = "Friction of every joint over its speed, by the plate, without a friction model"
@@ -111,15 +114,15 @@ def varied(path: Path) -> dict[str, str]:
     campaign, errors = Campaign.load(path), defaultdict[str, dict[str, float]](dict)
     with TemporaryDirectory() as folder:
         conduct(campaign, Path(folder))
-        found = summarise(read_results(Path(folder) / RESULTS).rows)
+        found = summarise(read_campaign_results(Path(folder) / RESULTS_FILE).rows)
     for each in found:
         fault, _, estimated = str(*each.levels.values()).partition("; ")
-        errors[fault]["external" if estimated else "internal"] = 100 * each.error
+        errors[fault]["wrench" if estimated else "torque"] = 100 * each.error
     width, height, parts = error_dots(errors, ESTIMATED, left=230)
     shows = "Rms error of the plate's estimate with one fault at a time, and with it estimated"
     save(f"gallery/{path.stem}", width, height, parts, shows)
-    most = max(row["external"] for row in errors.values() if "external" in row)
-    said = f"Obtained: {len(errors) - 1} faults; estimated, at most {percent(most / 100)}."
+    most = max(row["wrench"] for row in errors.values() if "wrench" in row)
+    said = f"Obtained: {len(errors) - 1} faults; estimated, at most {percent_text(most / 100)}."
     claim = campaign.tables.claim
     return {"claim": claim, "command": "campaign", "obtained": said, "shows": shows}
 

@@ -1,5 +1,5 @@
-"""Joint torques against the wrench of the plate.
+"""Identification of drives by comparing joint torques with the wrench of the force plate.
 
-In: a recording with both.
-Out: torque constants, rotors, friction curves.
+In: a recording with both signals.
+Out: torque constants, rotor inertias, friction curves.
 """

@@ -1,7 +1,8 @@
-"""Friction torque as a curve over velocity, with a band: no law is assumed.
+"""Piecewise linear friction curves over velocity, and choice of friction laws.
 
-The curve is straight between nodes, one curve for each direction of motion; the torque at a node is
-the coefficient of a law of its own, so that filters, weights and sigma are those of every law.
+A curve is linear between nodes, with a separate curve for each direction of motion. The torque at a
+node is the coefficient of a friction law, so that it is estimated with the same filters, weights
+and standard deviations as other laws.
 """
 
 from __future__ import annotations
@@ -15,24 +16,30 @@ from scipy.interpolate import make_interp_spline
 
 from testbed.applications.drives.joint_regression import (
     JointRegression,
-    Torques,
-    regressions,
-    torques_beside,
+    TorqueRegressionData,
+    fit_joint_regressions,
+    torque_regression_data,
 )
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import standard_deviations
 from testbed.core.estimation.selection.folds import CrossProducts, Folds
 from testbed.core.estimation.selection.held_out import (
-    ALWAYS,
-    OFFERED,
+    BASE_LAWS,
+    CANDIDATE_LAWS,
     SelectionStep,
+    are_exclusive,
     forward_selection,
-    rivals,
 )
-from testbed.core.robot.friction import BY_LOAD, LOADED, ROTOR, STRIBECK, VARYING
+from testbed.core.robot.friction import (
+    DRIFT_LAWS,
+    LOAD_LAWS,
+    LOAD_MULTIPLIERS,
+    ROTOR,
+    STRIBECK_KIND,
+)
 from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
 
@@ -56,24 +63,24 @@ NODES = (
     11,
     16,
 )
-"""Speeds of the nodes [rad/s or m/s]: close where friction changes most."""
+"""Speeds of the nodes, dense where friction changes most [rad/s or m/s]."""
 
-LEAST = 4.0
-"""Rows' worth of data that a node needs, and friction that fades out."""
+MIN_ROWS = 4.0
+"""Smallest effective number of rows for a node, and for Stribeck friction."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionCurve:
-    """One joint's friction over velocity.
+    """Friction of one joint as a function of velocity, linear between nodes.
 
     Attributes:
-        joint: Its name.
-        speed: Of the nodes, ascending; zero is there twice, for either direction, (m,)
-            [rad/s or m/s].
-        torque: What friction takes there, with the sign of the motion, (m,) [N m or N].
-        sigma: Standard deviations, (m,).
-        constant: What the drive reports over what the torque is.
-        unit: N m or N.
+        joint: Name of the joint.
+        speed: Velocities of the m nodes in ascending order, (m,) [rad/s or m/s]; zero occurs twice,
+            once for each direction.
+        torque: Friction torque at the nodes, with the sign of the velocity, (m,) [N m or N].
+        sigma: Standard deviation of the friction torque, (m,).
+        constant: Torque constant: ratio of reported to true torque.
+        unit: Unit of the torque, "N m" or "N".
     """
 
     joint: str
@@ -85,28 +92,38 @@ class FrictionCurve:
 
     def __post_init__(self) -> None:
         k = len(self.speed)
-        freeze(self, speed=(k,), torque=(k,), sigma=(k,))
+        freeze_arrays(self, speed=(k,), torque=(k,), sigma=(k,))
 
-    def at(self, speed: Array) -> Array:
-        """Friction at speeds, straight between nodes and as at the last ones beyond, (M,).
+    def torque_at_speed(self, speed: Array) -> Array:
+        """Linearly interpolated friction torque, (M,) [N m or N]; constant beyond the end nodes.
 
         Args:
-            speed: (M,) [rad/s or m/s].
+            speed: Joint velocities, (M,) [rad/s or m/s].
         """
         if not len(self.speed):
             return np.zeros_like(speed)
         return np.interp(speed, self.speed, self.torque)
 
 
-def _node_law(way: int, number: int) -> JointLaw:
-    """The law whose coefficient is the torque at a node, for motion of one direction, 1 or -1."""
-    heights = np.eye(len(NODES))[number]
+def _node_law(direction: int, number: int) -> JointLaw:
+    """Friction law whose coefficient is the torque at one node of the curve.
+
+    The law is a hat function of velocity: 1 at its node, 0 at the other nodes and in the opposite
+    direction of motion. For the last node it remains 1 at higher speeds.
+
+    Args:
+        direction: Direction of motion, 1 or -1.
+        number: Index of the node.
+    """
+    nodal_values = np.eye(len(NODES))[number]
 
     def column(qd: Any, qdd: Any) -> Any:
-        forward = way * np.asarray(qd, dtype=float)
-        return np.where(forward > 0, np.interp(forward, NODES, heights), 0.0)
+        forward = direction * np.asarray(qd, dtype=float)
+        return np.where(forward > 0, np.interp(forward, NODES, nodal_values), 0.0)
 
-    return JointLaw(f"node {way:+d} x {number}", "N m", "N", column, jumps=True)
+    return JointLaw(
+        f"node {direction:+d} x {number}", "N m", "N", column, discontinuous=True
+    )
 
 
 NODE_LAWS = {
@@ -114,7 +131,7 @@ NODE_LAWS = {
     for way in (-1, 1)
     for number in range(len(NODES))
 }
-"""By direction and number of the node."""
+"""Law of each node, by direction of motion and index of the node."""
 
 Node = tuple[int, int]
 
@@ -122,88 +139,129 @@ Node = tuple[int, int]
 def friction_curves(
     problem: Problem, bodies: Estimate, drives: Sequence[DriveEstimate] = ()
 ) -> tuple[FrictionCurve, ...]:
-    """Friction over velocity, joint by joint, with the torque constant found beside it.
+    """Estimate the friction curve and the torque constant of each joint.
 
-    What a joint has besides friction over velocity is found beside it, too: a rotor, friction that
-    the load adds.
+    The rotor inertia and load-dependent friction in `drives` are not part of the curve; they are
+    estimated at the same time. Nodes with fewer than `MIN_ROWS` rows are left out.
 
     Args:
-        problem: By joint torques.
-        bodies: The external estimate: of this recording or of another.
-        drives: One a joint, or none: which terms it has.
+        problem: Identification problem for the joint torques.
+        bodies: Estimate from the plate's wrench, of this recording or another.
+        drives: Estimates of the joints, whose terms are included; empty for no further terms.
 
     Raises:
-        SettingsError: The estimate is not the plate's, or not of these parameters.
+        SettingsError: The estimate is not from the plate's wrench, or has other parameters.
     """
     tree = problem.tree
-    others = {
-        tree.index(each.joint): [t.law for t in each.terms if t.law in (ROTOR, *LOADED)]
-        for each in drives
+    other_laws = {
+        tree.index(drive.joint): [
+            term.law for term in drive.terms if term.law in (ROTOR, *LOAD_LAWS)
+        ]
+        for drive in drives
     }
-    beside = dict.fromkeys(law for own in others.values() for law in own)
-    torques = torques_beside(problem, bodies, (*beside, *NODE_LAWS.values()))
-    nodes = {joint: _nodes(torques, joint) for joint in torques.joints}
-    picked = {}
-    for joint, own in nodes.items():
-        parts = [_between_nodes(torques, joint, own, way) for way in (-1, 1)]
-        picked[joint] = np.hstack([*parts, torques.terms(joint, others.get(joint, ()))])
-    found = regressions(torques, bodies, picked)
-    return tuple(_curve(tree, each, nodes[each.joint]) for each in found)
+    distinct_laws = dict.fromkeys(law for laws in other_laws.values() for law in laws)
+    torques = torque_regression_data(
+        problem, bodies, (*distinct_laws, *NODE_LAWS.values())
+    )
+    nodes = {joint: _used_nodes(torques, joint) for joint in torques.joints}
+    coefficient_matrices = {}
+    for joint, joint_nodes in nodes.items():
+        matrices = [
+            _interpolation_matrix(torques, joint, joint_nodes, direction)
+            for direction in (-1, 1)
+        ]
+        coefficient_matrices[joint] = np.hstack(
+            [*matrices, torques.terms(joint, other_laws.get(joint, ()))]
+        )
+    joint_regressions = fit_joint_regressions(torques, bodies, coefficient_matrices)
+    return tuple(
+        _friction_curve(tree, regression, nodes[regression.joint])
+        for regression in joint_regressions
+    )
 
 
-def _nodes(torques: Torques, joint: int) -> list[Node]:
-    """The nodes with enough data, backwards first, ascending numbers."""
+def _used_nodes(torques: TorqueRegressionData, joint: int) -> list[Node]:
+    """Nodes with at least `MIN_ROWS` effective rows, sorted by direction, then index.
+
+    The negative direction comes first. The effective number of rows of a node is the sum of squares
+    of its regressor column.
+    """
     normal, _, _ = torques.equations.of_channel(joint)
     columns = torques.drives.columns @ torques.terms(joint, NODE_LAWS.values())
-    worth = np.einsum("ik,ij,jk->k", columns, normal, columns)
-    return [node for node, rows in zip(NODE_LAWS, worth, strict=True) if rows >= LEAST]
+    effective_rows = np.einsum("ik,ij,jk->k", columns, normal, columns)
+    return [
+        node
+        for node, rows in zip(NODE_LAWS, effective_rows, strict=True)
+        if rows >= MIN_ROWS
+    ]
 
 
-def _between_nodes(
-    torques: Torques, joint: int, nodes: Sequence[Node], way: int
+def _interpolation_matrix(
+    torques: TorqueRegressionData, joint: int, nodes: Sequence[Node], direction: int
 ) -> Array:
-    """How torques at the nodes with enough data make those at all of one direction, (asked, k)."""
-    places = np.array(NODES)
-    kept = places[[number for each, number in nodes if each == way]]
-    weights = np.ones((len(places), len(kept)))
-    if len(kept) > 1:
-        weights = make_interp_spline(kept, np.eye(len(kept)), k=1)(places)
-    laws = [law for (each, _), law in NODE_LAWS.items() if each == way]
+    """Matrix that interpolates torques at used nodes to the requested terms, (t, k).
+
+    It maps the torques at the k used nodes of one direction to coefficients of the t requested
+    terms. Torques at unused nodes are interpolated or extrapolated linearly in speed; they are
+    constant if only one node is used.
+
+    Args:
+        torques: Regression data of the joint torques.
+        joint: Joint index.
+        nodes: Used nodes of both directions.
+        direction: Direction of motion, 1 or -1.
+    """
+    speeds = np.array(NODES)
+    used_speeds = speeds[
+        [number for node_direction, number in nodes if node_direction == direction]
+    ]
+    weights = np.ones((len(speeds), len(used_speeds)))
+    if len(used_speeds) > 1:
+        weights = make_interp_spline(used_speeds, np.eye(len(used_speeds)), k=1)(speeds)
+    laws = [
+        law
+        for (node_direction, _), law in NODE_LAWS.items()
+        if node_direction == direction
+    ]
     return torques.terms(joint, laws) @ weights
 
 
-def _curve(tree: Tree, found: JointRegression, nodes: Sequence[Node]) -> FrictionCurve:
-    torque, covariance = found.as_they_are
+def _friction_curve(
+    tree: Tree, regression: JointRegression, nodes: Sequence[Node]
+) -> FrictionCurve:
+    """Friction curve from the regression of a joint, with nodes in order of velocity."""
+    torque, covariance = regression.true_coefficients
     sigma = standard_deviations(covariance)
-    speed = np.array([way * NODES[number] for way, number in nodes])
-    order = np.lexsort((np.array([way for way, _ in nodes]), speed))
-    joint = tree.joints[found.joint]
+    speed = np.array([direction * NODES[number] for direction, number in nodes])
+    order = np.lexsort((np.array([direction for direction, _ in nodes]), speed))
+    joint = tree.joints[regression.joint]
     return FrictionCurve(
         joint=joint.name,
         speed=speed[order],
         torque=torque[order],
         sigma=sigma[order],
-        constant=float(found.values[0]),
+        constant=float(regression.values[0]),
         unit="N m" if joint.revolute else "N",
     )
 
 
-PARTS = 8
-"""Of a recording."""
+FOLDS = 8
+"""Number of cross-validation folds of a recording."""
 
 
-RUN = 16
-"""Rows that are of one part together."""
+BLOCK_ROWS = 16
+"""Number of consecutive rows that stay in one fold."""
 
 
 @dataclass(frozen=True)
-class Choice:
-    """The terms of one joint.
+class JointTermChoice:
+    """Friction laws selected for one joint.
 
     Attributes:
-        laws: All of them.
-        steps: How they were found, the first being what every joint has.
-        next_best: The law that would have come next, and does not gain enough; None for none.
+        laws: Selected laws, including the basic laws and the rotor, which every joint has.
+        steps: Steps of the forward selection; the first contains only the laws that every joint
+            has.
+        next_best: Step with the best rejected law; None if no candidate was left.
     """
 
     laws: tuple[JointLaw, ...]
@@ -212,100 +270,134 @@ class Choice:
 
 
 def offered(laws: Sequence[JointLaw], signals: Collection[str]) -> tuple[JointLaw, ...]:
-    """All laws that a choice needs columns of; a rotor where it is asked for.
+    """Candidate laws for the selection of a joint's terms.
 
     Args:
-        laws: What is asked for.
-        signals: Of the recording: laws of the temperature need it.
+        laws: Laws of the settings; only the rotor inertia is taken from these.
+        signals: Names of the recording's signals; temperature laws require "temperature".
     """
     rotor = tuple(law for law in laws if law == ROTOR)
-    warm = tuple(law for law in VARYING if law.by in signals)
-    return (*ALWAYS, *rotor, *OFFERED, *LOADED, *warm)
+    temperature_laws = tuple(law for law in DRIFT_LAWS if law.by in signals)
+    return (*BASE_LAWS, *rotor, *CANDIDATE_LAWS, *LOAD_LAWS, *temperature_laws)
 
 
-def chosen_terms(tree: Tree, torques: Torques, bodies: Estimate) -> dict[int, Choice]:
-    """The terms of every joint by held-out data; of load or temperature none that might be zero.
+def chosen_terms(
+    tree: Tree, torques: TorqueRegressionData, bodies: Estimate
+) -> dict[int, JointTermChoice]:
+    """Select the terms of each joint by cross-validation, keyed by joint index.
+
+    Terms of load or temperature are dropped if their coefficient is below `Z_THRESHOLD` standard
+    deviations.
 
     Args:
         tree: The robot.
-        torques: With columns of all laws that are `offered`.
-        bodies: The external estimate.
+        torques: Regression data with the columns of all candidate laws.
+        bodies: Estimate from the plate's wrench.
     """
-    products = _products(torques)
-    choices = {joint: _choice(torques, joint, products) for joint in torques.joints}
-    for found in regressions(torques, bodies, picked_terms(torques, choices)):
-        choice = choices[found.joint]
-        terms = drive_of(tree, torques, found).terms
-        clear = {t.law for t in terms if abs(t.value) >= CLEAR * t.sigma}
-        doubtful = {*LOADED, *VARYING} - clear
-        laws = tuple(law for law in choice.laws if law not in doubtful)
+    products = _fold_products(torques)
+    choices = {
+        joint: _chosen_laws(torques, joint, products) for joint in torques.joints
+    }
+    for regression in fit_joint_regressions(
+        torques, bodies, term_selection_matrices(torques, choices)
+    ):
+        choice = choices[regression.joint]
+        terms = drive_estimate(tree, torques, regression).terms
+        significant = {
+            term.law for term in terms if abs(term.value) >= Z_THRESHOLD * term.sigma
+        }
+        insignificant = {*LOAD_LAWS, *DRIFT_LAWS} - significant
+        laws = tuple(law for law in choice.laws if law not in insignificant)
         kinds = {"", *(law.kind for law in laws)}
         steps = tuple(step for step in choice.steps if step.kind in kinds)
-        choices[found.joint] = replace(choice, laws=laws, steps=steps)
+        choices[regression.joint] = replace(choice, laws=laws, steps=steps)
     return choices
 
 
-def picked_terms(torques: Torques, choices: Mapping[int, Choice]) -> dict[int, Array]:
-    """By joint, which of the asked terms its regression has, (asked, q).
+def term_selection_matrices(
+    torques: TorqueRegressionData, choices: Mapping[int, JointTermChoice]
+) -> dict[int, Array]:
+    """Selection matrices of the chosen terms, keyed by joint index, (t, q).
+
+    Each selects the joint's q chosen terms from the t requested terms.
 
     Args:
-        torques: With columns of all laws.
-        choices: By joint.
+        torques: Regression data with the columns of all candidate laws.
+        choices: Selected laws, keyed by joint index.
     """
-    return {joint: torques.terms(joint, each.laws) for joint, each in choices.items()}
+    return {
+        joint: torques.terms(joint, choice.laws) for joint, choice in choices.items()
+    }
 
 
-def _products(torques: Torques) -> CrossProducts:
-    """Products of every joint's columns and torque, fold by fold."""
+def _fold_products(torques: TorqueRegressionData) -> CrossProducts:
+    """Products of all joints' columns and torques in `FOLDS` cross-validation folds.
+
+    A fold consists of consecutive rows.
+    """
     rows = torques.passes.rows(torques.combined)
-    parts = np.array_split(range(0, torques.passes.plan.rows, RUN), PARTS)
+    blocks_by_fold = np.array_split(
+        range(0, torques.passes.plan.rows, BLOCK_ROWS), FOLDS
+    )
     with one_blas_thread():
         blocks = (np.concatenate([x, y[..., None]], axis=2) for x, y in rows)
-        return Folds(np.cumsum([0, *(RUN * len(part) for part in parts)])).products(
-            blocks
-        )
+        return Folds(
+            np.cumsum(
+                [0, *(BLOCK_ROWS * len(fold_blocks) for fold_blocks in blocks_by_fold)]
+            )
+        ).products(blocks)
 
 
-def _choice(torques: Torques, joint: int, products: CrossProducts) -> Choice:
-    """Laws are added as long as one gains enough on parts that the fit has not seen.
+def _chosen_laws(
+    torques: TorqueRegressionData, joint: int, products: CrossProducts
+) -> JointTermChoice:
+    """Select the laws of a joint by forward selection with cross-validation.
 
-    Friction that fades out is offered where rows are slow enough: its coefficient is friction at
-    rest, which faster ones extrapolate to without bound.
+    Stribeck friction is a candidate only if there are enough slow rows: its coefficient is the
+    friction at zero speed, which faster rows determine only by extrapolation.
+
+    Args:
+        torques: Regression data with the columns of all candidate laws.
+        joint: Joint index.
+        products: Products of columns and torques by fold.
     """
     asked = torques.drives.asked
-    place = {term.law: 1 + k for k, term in enumerate(asked) if term.joint == joint}
-    laws = [law for law in place if law in (*ALWAYS, ROTOR)]
-    folds = products.weighted(np.eye(products.unseen.shape[1])[joint])
-    squares = np.einsum("kii->i", folds.unseen)
+    columns = {term.law: 1 + k for k, term in enumerate(asked) if term.joint == joint}
+    laws = [law for law in columns if law in (*BASE_LAWS, ROTOR)]
+    folds = products.weighted_sums(np.eye(products.test.shape[1])[joint])
+    squares = np.einsum("kii->i", folds.test)
     candidates = {
-        law: at
-        for law, at in place.items()
-        if law not in laws and (STRIBECK not in law.kind or squares[at] >= LEAST)
+        law: column
+        for law, column in columns.items()
+        if law not in laws
+        and (STRIBECK_KIND not in law.kind or squares[column] >= MIN_ROWS)
     }
-    more, how = forward_selection(
+    selected_laws, selection = forward_selection(
         folds,
-        [0, *(place[law] for law in laws)],
+        [0, *(columns[law] for law in laws)],
         candidates,
         lambda law: law.kind,
-        rivals,
+        are_exclusive,
     )
-    return Choice((*laws, *more), how.steps, how.next_best)
+    return JointTermChoice(
+        (*laws, *selected_laws), selection.steps, selection.next_best
+    )
 
 
-CLEAR = 4.0
-"""Standard deviations that a chosen coefficient of load or temperature has to have: errors of dry
-friction near reversals have some of its shape."""
+Z_THRESHOLD = 4.0
+"""Smallest coefficient of load or temperature that is kept, in standard deviations: errors of dry
+friction near velocity reversals resemble these terms."""
 
 
 @dataclass(frozen=True)
 class DriveTerm:
-    """One coefficient of a joint's own torque, as it is, not as the drive reports it.
+    """Coefficient of a joint term, in terms of true torque.
 
     Attributes:
-        law: Which.
-        unit: Of the coefficient.
+        law: Law of the term.
+        unit: Unit of the coefficient.
         value: The coefficient.
-        sigma: Its standard deviation.
+        sigma: Standard deviation of the coefficient.
     """
 
     law: JointLaw
@@ -316,17 +408,17 @@ class DriveTerm:
 
 @dataclass(frozen=True)
 class DriveEstimate:
-    """What the plate's parameters make of one joint's torque.
+    """Torque constant and joint terms of one joint.
 
     Attributes:
-        joint: Its name.
-        constant: What the drive reports over what the torque is: 1 if the torque constant is right.
-        sigma: Its standard deviation.
-        terms: The joint's own.
-        residual: Rms of what is left, as reported [N m or N].
+        joint: Name of the joint.
+        constant: Torque constant: ratio of reported to true torque, 1 for a perfect drive.
+        sigma: Standard deviation of the torque constant.
+        terms: Joint terms, in terms of true torque.
+        residual: Rms residual in reported torque [N m or N].
         unit: N m or N.
-        rows: How many counted.
-        choice: How the terms were chosen; None where they were given.
+        rows: Number of rows used in the fit.
+        choice: Selection of the terms; None if the terms were given by the settings.
     """
 
     joint: str
@@ -336,48 +428,61 @@ class DriveEstimate:
     residual: float
     unit: str
     rows: int
-    choice: Choice | None = None
+    choice: JointTermChoice | None = None
 
     def friction(self, speed: Array, load: Array) -> Array:
-        """What its terms take at constant speeds and 25 degC, with the offset, (M,) [N m or N].
+        """Friction torque, including offset, at constant velocities and 25 degC, (M,) [N m or N].
+
+        Terms of drift and temperature are not included.
 
         Args:
-            speed: (M,) [rad/s or m/s].
+            speed: Joint velocities, (M,) [rad/s or m/s].
             load: Torque that moves the link, (M,) [N m or N].
         """
-        found = np.zeros(np.broadcast_shapes(np.shape(speed), np.shape(load)))
+        torque = np.zeros(np.broadcast_shapes(np.shape(speed), np.shape(load)))
         for term in self.terms:
             law = term.law
-            by = BY_LOAD[law.by](load, load) if law.by in BY_LOAD else float(not law.by)
-            found = found + term.value * by * law.columns(speed, np.zeros_like(speed))
-        return found
+            scale = (
+                LOAD_MULTIPLIERS[law.by](load, load)
+                if law.by in LOAD_MULTIPLIERS
+                else float(not law.by)
+            )
+            torque = torque + term.value * scale * law.columns(
+                speed, np.zeros_like(speed)
+            )
+        return torque
 
 
-def drive_of(
-    tree: Tree, torques: Torques, found: JointRegression, choice: Choice | None = None
+def drive_estimate(
+    tree: Tree,
+    torques: TorqueRegressionData,
+    regression: JointRegression,
+    choice: JointTermChoice | None = None,
 ) -> DriveEstimate:
-    """A joint's regression in words: its own terms as they are, not as reported.
+    """Torque constant and terms of a joint, from its regression.
+
+    The coefficients of the terms are converted from reported to true torque.
 
     Args:
         tree: The robot.
-        torques: With all terms.
-        found: The regression, each coefficient that of one term.
-        choice: How its terms were chosen.
+        torques: Regression data with all terms.
+        regression: Regression of the joint, with one coefficient per term.
+        choice: Selection of the terms, if they were selected.
     """
-    laws = [torques.drives.asked[k].law for k in found.terms.argmax(axis=0)]
-    joint = tree.joints[found.joint]
-    terms, covariance = found.as_they_are
+    laws = [torques.drives.asked[k].law for k in regression.terms.argmax(axis=0)]
+    joint = tree.joints[regression.joint]
+    terms, covariance = regression.true_coefficients
     sigmas = standard_deviations(covariance)
     return DriveEstimate(
         joint=joint.name,
-        constant=float(found.values[0]),
-        sigma=float(standard_deviations(found.covariance)[0]),
+        constant=float(regression.values[0]),
+        sigma=float(standard_deviations(regression.covariance)[0]),
         terms=tuple(
             DriveTerm(law, law.unit(joint), float(value), float(sigma))
             for law, value, sigma in zip(laws, terms, sigmas, strict=True)
         ),
-        residual=found.residual,
+        residual=regression.residual,
         unit="N m" if joint.revolute else "N",
-        rows=found.rows,
+        rows=regression.rows,
         choice=choice,
     )

@@ -1,4 +1,4 @@
-"""Friction in files for other programs: a table, and BAM's parameters."""
+"""Friction files for other programs: a CSV table of curves, and parameters of BAM's models."""
 
 from __future__ import annotations
 
@@ -10,113 +10,140 @@ from pathlib import Path
 import numpy as np
 
 from testbed.applications.drives.friction_curves import DriveEstimate
-from testbed.applications.drives.identify_drives import DriveFindings
-from testbed.core.base.whole_files import write_whole
+from testbed.applications.drives.identify_drives import DriveIdentification
+from testbed.core.base.whole_files import write_atomically
 from testbed.core.robot.friction import (
     COULOMB,
-    LOAD,
-    QUADRATIC_LOAD,
+    LOAD_FRICTION,
+    QUADRATIC_LOAD_FRICTION,
     ROTOR,
-    STRIBECK,
+    STRIBECK_KIND,
     VISCOUS,
 )
 
-HEADS = ("joint", "speed", "friction", "sigma", "law")
-"""Of the table: nodes of the curve, and what the joint's terms take at their speeds, unloaded."""
+TABLE_COLUMNS = ("joint", "speed", "friction", "sigma", "law")
+"""Columns of the table: nodes of the curve, and friction of the joint's terms without load."""
 
-DRY = {COULOMB.kind, VISCOUS.kind, ROTOR.kind, STRIBECK}
-"""Terms that all of BAM's models have parameters for from M2 on."""
+BASIC_KINDS = {COULOMB.kind, VISCOUS.kind, ROTOR.kind, STRIBECK_KIND}
+"""Kinds of terms with parameters in BAM's models from M2 on."""
 
-FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""How cells of a CSV file begin that spreadsheets compute."""
+FORMULA_PREFIXES = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""Prefixes of CSV cells that spreadsheets evaluate as formulas."""
 
 
-def table(found: DriveFindings) -> str:
-    """The curves as CSV, for a controller's feed-forward: SI, joint side, true torque.
+def friction_table(findings: DriveIdentification) -> str:
+    """CSV table of friction curves and fitted friction laws.
+
+    It has one row per node of each joint's curve, with the columns `TABLE_COLUMNS`, in SI units at
+    the joint side; torques are corrected by the joint's torque constant. The column "law" is the
+    friction of the fitted joint terms without load.
 
     Args:
-        found: Curves and terms of all joints.
+        findings: Friction curves and terms of all joints.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(HEADS)
-    for curve, drive in zip(found.curves, found.estimates, strict=True):
+    writer.writerow(TABLE_COLUMNS)
+    for curve, drive in zip(findings.curves, findings.estimates, strict=True):
         law = drive.friction(curve.speed, np.zeros_like(curve.speed))
-        # an apostrophe before what spreadsheets would compute
-        joint = f"'{curve.joint}" if curve.joint.startswith(FORMULA) else curve.joint
-        for row in np.column_stack(
+        # an apostrophe before text that spreadsheets would evaluate
+        joint = (
+            f"'{curve.joint}"
+            if curve.joint.startswith(FORMULA_PREFIXES)
+            else curve.joint
+        )
+        for values in np.column_stack(
             [curve.speed, curve.torque, curve.sigma, law]
         ).tolist():
-            writer.writerow([joint, *row])
+            writer.writerow([joint, *values])
     return text.getvalue()
 
 
 def bam_parameters(drive: DriveEstimate) -> dict[str, object]:
-    """A joint's friction as the simplest of BAM's models that holds it: M1, M2, M5 or M6.
+    """Joint friction as parameters of the simplest sufficient BAM model, by key.
 
-    M6's squares of the load fade out as Stribeck's friction does, so they are there without it
-    only; of a driven gear they are of the motor's torque. What the model does not state is listed
-    under `left_out`, which BAM does not read. `kt` is not known: multiply it by `constant`.
+    The model is M1, M2, M5 or M6. In M6, the quadratic load friction decays with speed as Stribeck
+    friction does, so M6 is used only without Stribeck friction; for a backdriven gear, this term
+    depends on the motor's torque. Terms that the model lacks are listed under `left_out`, which BAM
+    ignores. `kt` is not identified; the value in use must be multiplied by `constant`.
 
     Source    github.com/Rhoban/bam, bam/model.py; Duclusaud et al., arXiv 2410.08650 (2024).
 
     Args:
-        drive: The joint's terms.
+        drive: Estimate of the joint's terms.
     """
     terms = {term.law.kind.partition("@")[0]: term for term in drive.terms}
-    value = {kind: term.value for kind, term in terms.items()}
-    held, fading = set(DRY), STRIBECK in terms
-    model = "m2" if fading else "m1"
-    if LOAD.kind in terms:
-        model, held = "m5", held | {LOAD.kind}
-    if QUADRATIC_LOAD.kind in terms and not fading:
-        model, held = "m6", held | {LOAD.kind, QUADRATIC_LOAD.kind}
-    found: dict[str, object] = {
+    values = {kind: term.value for kind, term in terms.items()}
+    model_kinds, has_stribeck = set(BASIC_KINDS), STRIBECK_KIND in terms
+    model = "m2" if has_stribeck else "m1"
+    if LOAD_FRICTION.kind in terms:
+        model, model_kinds = "m5", model_kinds | {LOAD_FRICTION.kind}
+    if QUADRATIC_LOAD_FRICTION.kind in terms and not has_stribeck:
+        model, model_kinds = (
+            "m6",
+            model_kinds | {LOAD_FRICTION.kind, QUADRATIC_LOAD_FRICTION.kind},
+        )
+    parameters: dict[str, object] = {
         "model": model,
         "actuator": drive.joint,
-        "left_out": [term.law.kind for kind, term in terms.items() if kind not in held],
+        "left_out": [
+            term.law.kind for kind, term in terms.items() if kind not in model_kinds
+        ],
         "constant": drive.constant,
-        "armature": value.get(ROTOR.kind, 0.0),
-        "friction_base": value.get(COULOMB.kind, 0.0),
-        "friction_viscous": value.get(VISCOUS.kind, 0.0),
+        "armature": values.get(ROTOR.kind, 0.0),
+        "friction_base": values.get(COULOMB.kind, 0.0),
+        "friction_viscous": values.get(VISCOUS.kind, 0.0),
     }
     if model == "m1":
-        return found
-    found["friction_stribeck"] = value.get(STRIBECK, 0.0)
-    found["alpha"] = 2.0
-    found["dtheta_stribeck"] = NEVER
-    if fading:
-        found["dtheta_stribeck"] = float(terms[STRIBECK].law.kind.partition("@")[2])
+        return parameters
+    parameters["friction_stribeck"] = values.get(STRIBECK_KIND, 0.0)
+    parameters["alpha"] = 2.0
+    parameters["dtheta_stribeck"] = LARGE_SPEED
+    if has_stribeck:
+        parameters["dtheta_stribeck"] = float(
+            terms[STRIBECK_KIND].law.kind.partition("@")[2]
+        )
     shares = (
-        {"motor": 0.0, "external": value.get(LOAD.kind, 0.0)} if model != "m2" else {}
+        {"motor": 0.0, "wrench": values.get(LOAD_FRICTION.kind, 0.0)}
+        if model != "m2"
+        else {}
     )
     for side, share in shares.items():
-        found |= {f"load_friction_{side}": share, f"load_friction_{side}_stribeck": 0.0}
+        parameters |= {
+            f"load_friction_{side}": share,
+            f"load_friction_{side}_stribeck": 0.0,
+        }
         if model == "m6":
-            found[f"load_friction_{side}_quad"] = value[QUADRATIC_LOAD.kind]
-    return found
+            parameters[f"load_friction_{side}_quad"] = values[
+                QUADRATIC_LOAD_FRICTION.kind
+            ]
+    return parameters
 
 
-NEVER = 1e9
-"""Speed at which friction fades out where there is none that does [rad/s or m/s]."""
+LARGE_SPEED = 1e9
+"""Stribeck velocity of a model without Stribeck friction [rad/s or m/s]."""
 
 
-def bam_file(found: DriveFindings) -> str:
-    """Parameters for BAM's models as one object, by joint.
-
-    Args:
-        found: Terms of all joints.
-    """
-    every = {drive.joint: bam_parameters(drive) for drive in found.estimates}
-    return json.dumps(every, indent=1) + "\n"
-
-
-def write_friction(found: DriveFindings, path: Path) -> None:
-    """Write a table (.csv), or parameters for BAM (.json).
+def bam_file(findings: DriveIdentification) -> str:
+    """JSON text with the parameters of BAM's models, keyed by joint.
 
     Args:
-        found: Of all joints.
-        path: The file.
+        findings: Terms of all joints.
     """
-    text = table(found) if path.suffix.lower() == ".csv" else bam_file(found)
-    write_whole(path, text)
+    parameters = {drive.joint: bam_parameters(drive) for drive in findings.estimates}
+    return json.dumps(parameters, indent=1) + "\n"
+
+
+def write_friction(findings: DriveIdentification, path: Path) -> None:
+    """Write a friction table (.csv) or parameters of BAM's models (.json).
+
+    Args:
+        findings: Friction curves and terms of all joints.
+        path: Path of the file; its extension selects the format.
+    """
+    text = (
+        friction_table(findings)
+        if path.suffix.lower() == ".csv"
+        else bam_file(findings)
+    )
+    write_atomically(path, text)

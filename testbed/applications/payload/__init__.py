@@ -1,5 +1,5 @@
-"""A payload's or a tool's mass, centre and inertia.
+"""Mass, centre of mass and inertia of a payload or a tool.
 
-In: recordings without it and with it, or poses at rest.
-Out: `Payload`, and its form for controllers.
+In: recordings without and with the payload, or static poses.
+Out: `PayloadEstimate`, and text for robot controllers.
 """

@@ -1,4 +1,4 @@
-"""A payload from two recordings of one robot in motion."""
+"""Inertial parameters of a payload from two recordings of a robot in motion."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scipy import special
 from scipy.linalg import orth
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import with_properties
-from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
+from testbed.core.base.codec import schema_with_properties
+from testbed.core.base.diagnostics import Diagnosed, Diagnostic, make_diagnostic
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.estimate import Estimate
@@ -22,45 +22,53 @@ from testbed.core.estimation.regression.normal_equations import (
     unit_diagonal,
 )
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.core.parameters.symbols import STANDARD, to_barycentric
+from testbed.core.parameters.symbols import STANDARD_NAMES, barycentric_from_standard
 from testbed.core.robot.tree import Tree
 
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
-"""Of the ten."""
+"""Units of the ten standard parameters."""
 
-SEEN = 1e-9
-"""A parameter that is identifiable alone lies in the space of what is seen to this."""
+SPACE_TOLERANCE = 1e-9
+"""Largest distance of an identifiable parameter's axis from the row space of the influence."""
 
-SMALLEST = 1e-9
-"""Singular values below this share of the largest are rounding."""
+SINGULAR_VALUE_TOLERANCE = 1e-9
+"""Singular values below this share of the largest count as zero."""
 
-IMPOSSIBLE = 1e-6
-"""Chance below which the rest of the difference is no noise."""
+MIN_P_VALUE = 1e-6
+"""Smallest p-value for which the residual of the difference is explained by noise."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class PayloadEstimate(Diagnosed, Gaussian):
-    """Ten inertial parameters of what a link carries more, about and along the link's frame.
+    """Estimate of a payload's ten inertial parameters in the carrying link's frame.
+
+    The order is m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz (`STANDARD_NAMES`): mass, first
+    moments, and inertia about the frame's origin. For a tool, the frame is that of the force
+    sensor.
 
     Attributes:
-        joint: The link is the one that this joint moves.
-        rank: How many combinations are identifiable.
-        chance: That noise alone leaves so much of the difference as no payload explains.
-        diagnostics: What a careful reader should know.
+        joint: Name of the joint that moves the carrying link.
+        rank: Number of identifiable combinations of the ten parameters.
+        p_value: P-value of the chi-square test of the fit's residual; small if no payload explains
+            the measured difference within its noise.
+        diagnostics: Warnings about the estimate.
     """
 
     joint: str
     rank: int
-    chance: float
+    p_value: float
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __get_pydantic_core_schema__ = with_properties("sigma", "identifiable", "centre")
+    __get_pydantic_core_schema__ = schema_with_properties(
+        "sigma", "identifiable", "centre"
+    )
 
     @property
     def centre(self) -> tuple[Array, Array] | None:
-        """Centre of mass in the link's frame and its sigma, (3,) each [m].
+        """Centre of mass in the carrying link's frame with standard deviation, (3,) each [m].
 
-        Not a number where not identifiable; None if the mass is not, or not by more than 5 sigma.
+        Components that are not identifiable are nan. The result is None if the mass is not
+        identifiable, or below 5 standard deviations.
         """
         if not self.identifiable[0] or self.values[0] < 5 * self.sigma[0]:
             return None
@@ -70,47 +78,56 @@ class PayloadEstimate(Diagnosed, Gaussian):
 def _centre(
     values: Array, covariance: Array, identifiable: ArrayLike
 ) -> tuple[Array, Array]:
-    """Centre of mass and standard deviations, (3,) each [m]; nan where not identifiable."""
-    mass, place = values[0], values[1:4] / values[0]
-    slope = np.column_stack([-place / mass, np.eye(3) / mass])
-    sigma = np.sqrt(np.diagonal(slope @ covariance[:4, :4] @ slope.T))
-    found = np.where(np.asarray(identifiable)[1:4], [place, sigma], np.nan)
-    return found[0], found[1]
+    """Centre of mass with standard deviation, (3,) each [m]; nan where not identifiable.
+
+    Args:
+        values: Ten standard parameters, (10,).
+        covariance: Covariance of the parameters, (10, 10).
+        identifiable: True for each identifiable parameter, (10,).
+    """
+    mass, centre = values[0], values[1:4] / values[0]
+    jacobian = np.column_stack([-centre / mass, np.eye(3) / mass])
+    sigma = np.sqrt(np.diagonal(jacobian @ covariance[:4, :4] @ jacobian.T))
+    centre_and_sigma = np.where(np.asarray(identifiable)[1:4], [centre, sigma], np.nan)
+    return centre_and_sigma[0], centre_and_sigma[1]
 
 
-def seen_of_payload(tree: Tree, minimal: MinimalSet, joint: str) -> Array:
-    """What each of a payload's ten parameters adds to the minimal ones, (p, 10).
+def payload_influence(tree: Tree, minimal: MinimalSet, joint: str) -> Array:
+    """Matrix from a payload's ten standard parameters to p base parameters, (p, 10).
 
     Args:
         tree: The robot.
-        minimal: Its minimal parameters.
-        joint: Of the link that carries it.
+        minimal: Minimal set with the p base parameters.
+        joint: Name of the joint that moves the carrying link.
 
     Raises:
-        UnknownName: There is no such joint.
+        UnknownName: The robot has no such joint.
     """
     link = tree.index(joint)
-    ten = np.zeros((tree.n, 10, 10))
-    ten[link] = np.eye(10)
-    theta = to_barycentric(tree, ten)
+    unit_bodies = np.zeros((tree.n, 10, 10))
+    unit_bodies[link] = np.eye(10)
+    theta = barycentric_from_standard(tree, unit_bodies)
     return np.array([minimal.values(theta[..., k]) for k in range(10)]).T
 
 
 def payload(
     tree: Tree, without: Estimate, loaded: Estimate, joint: str | None = None
 ) -> PayloadEstimate:
-    """What a link carries more.
+    """Estimate a payload from the difference of two estimates of base parameters.
+
+    For estimates from joint torques, the result has the diagnostic "payload.scale".
 
     Args:
-        tree: The robot; only its geometry matters.
-        without: The robot alone, by plate or joint torques. Torques weigh in their own scale:
-            a payload is as wrong as that (see `torque_scales`).
-        loaded: And with the payload, by the same method, of the same parameters.
-        joint: Of the link that carries it; default the last.
+        tree: The robot; only its geometry is used.
+        without: Estimate of the robot alone, from plate or joint torques. A scale error of the
+            torques becomes a scale error of the payload (see `torque_scales`).
+        loaded: Estimate of the robot with the payload, from the same signal and with the same
+            parameters.
+        joint: Name of the joint that moves the carrying link; default the last.
 
     Raises:
-        SettingsError: The estimates are not of the same parameters, or with known zeros.
-        UnknownName: There is no such joint.
+        SettingsError: The estimates differ in signal, parameters or gravity, or have known zeros.
+        UnknownName: The robot has no such joint.
     """
     joint = tree.names[-1] if joint is None else joint
     minimal, count = without.minimal, without.minimal.count
@@ -128,61 +145,86 @@ def payload(
         raise SettingsError(
             "a payload breaks the symmetry of links: estimate without known zeros"
         )
-    adds = seen_of_payload(tree, minimal, joint)
+    influence = payload_influence(tree, minimal, joint)
     difference = loaded.values[:count] - without.values[:count]
-    noise = (loaded.covariance + without.covariance)[:count, :count]
-    found = payload_from(joint, adds, difference, noise)
-    if without.method == "external":
-        return found
+    covariance = (loaded.covariance + without.covariance)[:count, :count]
+    estimate = payload_from_influence(joint, influence, difference, covariance)
+    if without.method == "wrench":
+        return estimate
     return replace(
-        found, diagnostics=(*found.diagnostics, diagnose("payload.scale", joint))
+        estimate,
+        diagnostics=(*estimate.diagnostics, make_diagnostic("payload.scale", joint)),
     )
 
 
-def payload_from(
-    joint: str, adds: Array, difference: Array, noise: Array, what: str = "payload"
+def payload_from_influence(
+    joint: str,
+    influence: Array,
+    difference: Array,
+    noise: Array,
+    subject: str = "payload",
 ) -> PayloadEstimate:
-    """Ten parameters of what they add to others, by the combinations that are seen.
+    """Estimate a payload's ten standard parameters by generalised least squares.
+
+    Unidentifiable combinations are zero (minimum-norm solution). If the residual's chi-square
+    exceeds its degrees of freedom, the covariance is multiplied by their ratio.
 
     Args:
-        joint: Of the link that carries them.
-        adds: What each of the ten adds to every other, (p, 10).
-        difference: Of those, (p,).
-        noise: Their covariance, (p, p).
-        what: "payload", of two recordings, or "tool", of one.
+        joint: Name of the joint that moves the carrying link.
+        influence: Matrix from the ten parameters to the measured combinations of parameters, (p,
+            10); (4, 10) if mass and first moments were measured.
+        difference: Measured combinations, (p,), such as `loaded - unloaded` base parameters.
+        noise: Covariance of the measured combinations, (p, p).
+        subject: Subject of the diagnostics: "payload" for two recordings, or "tool" for one.
     """
     unit, scale = unit_diagonal(noise)
-    white = np.linalg.inv(np.linalg.cholesky(unit)) / scale
-    seen = orth(adds.T, rcond=SMALLEST)
-    columns = white @ adds @ seen
+    whitening = np.linalg.inv(np.linalg.cholesky(unit)) / scale
+    identifiable_axes = orth(influence.T, rcond=SINGULAR_VALUE_TOLERANCE)
+    columns = whitening @ influence @ identifiable_axes
     inverse = scaled_inverse(columns.T @ columns)
-    found = inverse @ columns.T @ white @ difference
-    rest = white @ difference - columns @ found
-    freedom = max(len(adds) - len(found), 1)
-    chance = float(special.chdtrc(freedom, rest @ rest))
+    coordinates = inverse @ columns.T @ whitening @ difference
+    residual = whitening @ difference - columns @ coordinates
+    degrees_of_freedom = max(len(influence) - len(coordinates), 1)
+    chance = float(special.chdtrc(degrees_of_freedom, residual @ residual))
     # weights prefer the directions along which an estimated covariance happens to be small
-    covariance = max(1.0, rest @ rest / freedom) * seen @ inverse @ seen.T
-    identifiable = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
+    covariance = (
+        max(1.0, residual @ residual / degrees_of_freedom)
+        * identifiable_axes
+        @ inverse
+        @ identifiable_axes.T
+    )
+    identifiable = (
+        np.abs(np.linalg.norm(identifiable_axes, axis=1) - 1) < SPACE_TOLERANCE
+    )
     payload = PayloadEstimate(
-        names=STANDARD,
+        names=STANDARD_NAMES,
         units=UNITS,
-        values=seen @ found,
+        values=identifiable_axes @ coordinates,
         covariance=covariance,
-        unidentifiable=tuple(compress(STANDARD, ~identifiable)),
+        unidentifiable=tuple(compress(STANDARD_NAMES, ~identifiable)),
         joint=joint,
-        rank=len(found),
-        chance=chance,
+        rank=len(coordinates),
+        p_value=chance,
     )
     mass, sigma = float(payload.values[0]), float(payload.sigma[0])
     return replace(
-        payload, diagnostics=tuple(_diagnostics(joint, chance, mass, sigma, what))
+        payload, diagnostics=tuple(_diagnostics(joint, chance, mass, sigma, subject))
     )
 
 
 def _diagnostics(
     joint: str, chance: float, mass: float, sigma: float, what: str
 ) -> Iterator[Diagnostic]:
-    if chance < IMPOSSIBLE:
-        yield diagnose("payload.unexplained", joint, chance)
+    """Yield diagnostics of an unexplained difference and of a significantly negative mass.
+
+    Args:
+        joint: Name of the joint that moves the carrying link.
+        chance: P-value of the residual; a diagnostic is given below `MIN_P_VALUE`.
+        mass: Estimated mass [kg]; a diagnostic is given below -5 standard deviations.
+        sigma: Standard deviation of the mass [kg].
+        what: Prefix of the diagnostic's code: "payload" or "tool".
+    """
+    if chance < MIN_P_VALUE:
+        yield make_diagnostic("payload.unexplained", joint, chance)
     if mass < -5 * sigma:
-        yield diagnose(f"{what}.negative-mass", joint, mass, sigma=sigma)
+        yield make_diagnostic(f"{what}.negative-mass", joint, mass, sigma=sigma)

@@ -1,8 +1,9 @@
-"""Scales of joint torques by a known payload: two recordings of one robot, without it and with it.
+"""Scales of joint torques from recordings without and with a payload of known mass.
 
-A drive reports k times its joint's torque. Bodies tie the joints' torques to one set of parameters,
-and the known mass fixes what they leave open, one scale for all. Gauss-Newton on the products of
-both recordings' rows; standard deviations by what these leave, as coloured noise.
+A drive reports k times its joint's torque. The equations of motion express the torques of all
+joints by the same inertial parameters, up to one common scale, which the known mass determines.
+Gauss-Newton on the normal equations of both recordings; covariance from the residuals as coloured
+noise.
 """
 
 from __future__ import annotations
@@ -15,47 +16,65 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from testbed.applications.payload.payload import SEEN, SMALLEST, seen_of_payload
+from testbed.applications.payload.payload import (
+    SINGULAR_VALUE_TOLERANCE,
+    SPACE_TOLERANCE,
+    payload_influence,
+)
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.gaussian import Gaussian
-from testbed.core.base.stages import Progress, unreported
+from testbed.core.base.stages import Progress, ignore_progress
 from testbed.core.estimation.noise.fits import weighted_fits
-from testbed.core.estimation.noise.lagged_products import HIGHEST, LaggedSums
+from testbed.core.estimation.noise.lagged_products import (
+    MAX_AUTOREGRESSION_ORDER,
+    LaggedSums,
+)
 from testbed.core.estimation.noise.replicas import Replicas
-from testbed.core.estimation.noise.whitening import counted
+from testbed.core.estimation.noise.whitening import row_indicators
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
-    TINY,
+    SMALLEST_POSITIVE,
     NormalEquations,
     inverse_and_solution,
 )
 from testbed.core.estimation.regression.passes import Passes
-from testbed.core.estimation.selection.term_choice import with_all_terms
-from testbed.core.estimation.settings import DEFAULTS, Settings, with_sigmas
+from testbed.core.estimation.selection.term_choice import with_chosen_terms
+from testbed.core.estimation.settings import DEFAULTS, Settings, values_with_sigmas
 from testbed.core.recordings.source import RecordingLike
 from testbed.core.robot.tree import Tree
 
-STEPS = 10
-"""Of Gauss and Newton, from scales of one."""
+ITERATIONS = 10
+"""Number of Gauss-Newton steps, from scales of one."""
 
-MASS = "payload/mass"
+MASS_NAME = "payload/mass"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class TorqueScales(Gaussian):
-    """Reported over true torque, joint by joint: divide torques, or gains, by these.
+    """Ratios of reported to true torque for each joint, with uncertainty.
+
+    Reported torques are divided by these scales.
 
     Attributes:
-        known: Value and sigma of what was known of the payload, by name.
+        known: Value and standard deviation of the payload's known parameters, by name.
     """
 
     known: Mapping[str, tuple[float, float]]
 
 
-class _Half(NamedTuple):
-    """One recording: its unknowns are lead @ v + fixed."""
+class _LinearRecording(NamedTuple):
+    """Normal equations of a recording whose p unknowns are `lead @ v + fixed`.
+
+    The vector v has m elements, the common unknowns of both recordings (`_linear_recording`).
+
+    Attributes:
+        passes: Passes over the recording's regressor rows.
+        equations: Normal equations of the rows.
+        lead: Matrix from the common unknowns v to the recording's unknowns, (p, m).
+        fixed: Contribution of the known mass to the recording's unknowns, (p,).
+    """
 
     passes: Passes
     equations: NormalEquations
@@ -63,18 +82,27 @@ class _Half(NamedTuple):
     fixed: Array
 
     def weights(self, x: Array, scales: Array) -> Array:
-        """Of the channels, one over the mean square that unknowns, (p,), leave, (n,)."""
-        found = []
-        for j, k in enumerate(scales):
+        """Reciprocal mean square residual of each channel, (n,).
+
+        Args:
+            x: Unknowns of the recording, (p,).
+            scales: Torque scales, (n,).
+        """
+        squared_residuals = []
+        for j, scale in enumerate(scales):
             normal, right, square = self.equations.of_channel(j)
-            left = float(square - 2 * k * (right @ x) + k**2 * (x @ normal @ x))
-            found.append(max(left, 1e-12 * square, TINY))
-        return np.maximum(self.equations.used, 1.0) / found
+            squared_residual = float(
+                square - 2 * scale * (right @ x) + scale**2 * (x @ normal @ x)
+            )
+            squared_residuals.append(
+                max(squared_residual, 1e-12 * square, SMALLEST_POSITIVE)
+            )
+        return np.maximum(self.equations.used, 1.0) / squared_residuals
 
 
 def torque_scales(
     tree: Tree,
-    without: RecordingLike,
+    unloaded: RecordingLike,
     loaded: RecordingLike,
     known: Mapping[str, float | Sequence[float]],
     joint: str | None = None,
@@ -82,47 +110,52 @@ def torque_scales(
     gravity: ArrayLike | None = None,
     settings: Settings = DEFAULTS,
     threads: int | None = None,
-    progress: Progress = unreported,
+    progress: Progress = ignore_progress,
 ) -> TorqueScales:
-    """Scales of joint torques, from a recording without a payload of known mass and one with it.
+    """Estimate scales of joint torques from recordings without and with a known payload.
+
+    If joint terms are selected from the data, the recording without payload is used. The standard
+    deviation of the mass is included as a common relative error of all scales.
 
     Args:
         tree: The robot without the payload; its inertias are not used.
-        without: The recording without it, as for `identify`; with torques.
-        loaded: The one with it, along any other motion.
-        known: "payload/mass": a value, or value and sigma [kg].
-        joint: The payload is on the link that this one moves; default the last.
-        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
-        settings: How the signals are treated, and the terms, which each recording has of its own.
-        threads: How many to use; default one a processor.
-        progress: Called with samples done and samples in all.
+        unloaded: Recording without the payload, as for `identify`; with torques.
+        loaded: Recording with the payload, along any other motion.
+        known: Value, or value and standard deviation, of "payload/mass" [kg].
+        joint: Name of the joint that moves the carrying link; default the last.
+        gravity: Gravity, (3,) [m/s^2], bedplate frame; default as for `identify`.
+        settings: Signal processing, and joint terms, whose coefficients are estimated separately
+            for each recording; sensor-error terms (nuisances) and known values are ignored.
+        threads: Number of threads; default one per processor.
+        progress: Called with the numbers of processed samples and of all samples.
 
     Raises:
         RecordingError: A recording cannot be used.
-        SettingsError: The mass is not known, or does not fix the scale.
-        UnknownName: Something else is known, or there is no such joint.
+        SettingsError: The mass is not given or does not determine the scale, or the settings have
+            known zeros.
+        UnknownName: A quantity other than the mass is given, or the robot has no such joint.
     """
-    facts = with_sigmas(known)
-    for name in facts.keys() - {MASS}:
-        raise UnknownName("known fact", name, (MASS,))
-    mass, doubt = facts.get(MASS, (0.0, 0.0))
+    known_values = values_with_sigmas(known)
+    for name in known_values.keys() - {MASS_NAME}:
+        raise UnknownName("known fact", name, (MASS_NAME,))
+    mass, mass_sigma = known_values.get(MASS_NAME, (0.0, 0.0))
     if mass <= 0:
         raise SettingsError(
-            f"of the payload its mass has to be known, in kg: --known {MASS}=1.5"
+            f"of the payload its mass has to be known, in kg: --known {MASS_NAME}=1.5"
         )
     settings = replace(settings, nuisances=(), known={})
     if settings.zeros:
         raise SettingsError(
             "a payload breaks the symmetry of links: calibrate without known zeros"
         )
-    halves = []
+    recordings = []
     with one_blas_thread():
-        for number, recording in enumerate((without, loaded)):
-            problem, _ = with_all_terms(
-                Problem.of(
+        for index, recording in enumerate((unloaded, loaded)):
+            problem, _ = with_chosen_terms(
+                Problem.from_recording(
                     tree,
                     recording,
-                    "internal",
+                    "torque",
                     settings,
                     gravity=gravity,
                     threads=threads,
@@ -130,95 +163,169 @@ def torque_scales(
                 )
             )
             settings = replace(settings, terms=problem.settings.terms)
-            halves.append(_half(problem, joint or tree.names[-1], mass, number))
-        values, v = _solved(halves)
-        covariance = _covariance(halves, values, v)
-    # all else scales with the mass
-    covariance += (doubt / mass) ** 2 * np.outer(values, values)
+            recordings.append(
+                _linear_recording(problem, joint or tree.names[-1], mass, index)
+            )
+        values, v = _gauss_newton(recordings)
+        covariance = _covariance(recordings, values, v)
+    # all other unknowns are proportional to the mass
+    covariance += (mass_sigma / mass) ** 2 * np.outer(values, values)
     return TorqueScales(
         names=tree.names,
         units=("",) * tree.n,
         values=values,
         covariance=covariance,
-        known=facts,
+        known=known_values,
     )
 
 
-def _half(problem: Problem, joint: str, mass: float, number: int) -> _Half:
-    """A recording's products; v are bodies, own terms of both, and the rest of the payload."""
+def _linear_recording(
+    problem: Problem, joint: str, mass: float, number: int
+) -> _LinearRecording:
+    """Express the normal equations of a recording in the common unknowns v.
+
+    v contains the base parameters, the joint terms of both recordings, and the identifiable
+    combinations of the payload's parameters other than its mass.
+
+    Args:
+        problem: Identification problem of the recording.
+        joint: Name of the joint that moves the carrying link.
+        mass: Known mass of the payload [kg].
+        number: 0 for the recording without the payload, 1 for the recording with it.
+
+    Raises:
+        SettingsError: The effect of the mass on the torques is collinear with the effect of the
+            payload's other parameters.
+    """
     minimal = problem.minimal
-    adds = seen_of_payload(problem.tree, minimal, joint)
-    wide, sizes, _ = np.linalg.svd(adds[:, 1:], full_matrices=False)
-    free = wide[:, sizes > SMALLEST * sizes[0]]
-    fixed = mass * adds[:, 0]
-    if np.linalg.norm(fixed - free @ (free.T @ fixed)) <= SEEN * np.linalg.norm(fixed):
+    influence = payload_influence(problem.tree, minimal, joint)
+    left_vectors, singular_values, _ = np.linalg.svd(
+        influence[:, 1:], full_matrices=False
+    )
+    payload_axes = left_vectors[
+        :, singular_values > SINGULAR_VALUE_TOLERANCE * singular_values[0]
+    ]
+    fixed = mass * influence[:, 0]
+    if np.linalg.norm(
+        fixed - payload_axes @ (payload_axes.T @ fixed)
+    ) <= SPACE_TOLERANCE * np.linalg.norm(fixed):
         raise SettingsError(
             "the mass of the payload does not change the torques beside its unknown centre: let "
             "joints turn it against gravity"
         )
     passes = problem.passes(3)
     equations = problem.equations(passes)
-    own = np.zeros((2, len(equations.unknowns) - minimal.count))
-    own[number] = 1.0
-    of_terms = np.hstack([np.diag(each) for each in own])
-    lead = block_diag(np.eye(minimal.count), of_terms)
-    rest = number * np.column_stack([fixed, free])
-    rest = np.pad(rest, ((0, len(of_terms)), (0, 0)))
-    return _Half(passes, equations, np.hstack([lead, rest[:, 1:]]), rest[:, 0])
+    is_own_term = np.zeros((2, len(equations.unknowns) - minimal.count))
+    is_own_term[number] = 1.0
+    term_columns = np.hstack([np.diag(diagonal) for diagonal in is_own_term])
+    lead = block_diag(np.eye(minimal.count), term_columns)
+    payload_columns = number * np.column_stack([fixed, payload_axes])
+    payload_columns = np.pad(payload_columns, ((0, len(term_columns)), (0, 0)))
+    return _LinearRecording(
+        passes,
+        equations,
+        np.hstack([lead, payload_columns[:, 1:]]),
+        payload_columns[:, 0],
+    )
 
 
-def _solved(halves: Sequence[_Half]) -> tuple[Array, Array]:
-    """Scales and v, by Gauss-Newton."""
-    n, m = len(halves[0].equations.channels), halves[0].lead.shape[1]
-    found = np.append(np.ones(n), np.zeros(m))
-    for step in range(STEPS):
-        at = slice(n if step == 0 else 0, None)  # the first finds v of scales of one
-        matrix, vector = _normal(halves, found[:n], found[n:])
-        found[at] += inverse_and_solution(matrix[at, at], vector[at])[1]
-    return found[:n], found[n:]
+def _gauss_newton(recordings: Sequence[_LinearRecording]) -> tuple[Array, Array]:
+    """Torque scales, (n,), and common unknowns v, (m,), by Gauss-Newton iteration.
+
+    The first of `ITERATIONS` steps solves for v alone, with scales of 1.
+    """
+    n, m = len(recordings[0].equations.channels), recordings[0].lead.shape[1]
+    unknowns = np.append(np.ones(n), np.zeros(m))
+    for step in range(ITERATIONS):
+        free = slice(
+            n if step == 0 else 0, None
+        )  # the first step solves for v with scales of one
+        matrix, vector = _normal_equations(recordings, unknowns[:n], unknowns[n:])
+        unknowns[free] += inverse_and_solution(matrix[free, free], vector[free])[1]
+    return unknowns[:n], unknowns[n:]
 
 
-def _normal(halves: Sequence[_Half], scales: Array, v: Array) -> tuple[Array, Array]:
-    """J' W J and J' W r of what scales and v leave, each channel weighed by its own rest."""
+def _normal_equations(
+    recordings: Sequence[_LinearRecording], scales: Array, v: Array
+) -> tuple[Array, Array]:
+    """Normal matrix J' W J, (n + m, n + m), and vector J' W r, (n + m,).
+
+    J is the Jacobian of the linearised problem with respect to the n scales and the m elements of
+    v, and r is the residual. W weights each channel by its reciprocal mean square residual.
+
+    Args:
+        recordings: The recordings without and with the payload.
+        scales: Torque scales, (n,).
+        v: Common unknowns, (m,).
+    """
     size = len(scales) + len(v)
     matrix, vector = np.zeros((size, size)), np.zeros(size)
-    for half in halves:
-        x = half.lead @ v + half.fixed
-        for j, (k, weight) in enumerate(
-            zip(scales, half.weights(x, scales), strict=True)
+    for recording in recordings:
+        x = recording.lead @ v + recording.fixed
+        for j, (scale, weight) in enumerate(
+            zip(scales, recording.weights(x, scales), strict=True)
         ):
-            normal, right, _ = half.equations.of_channel(j)
-            rows = np.hstack([np.outer(x, np.eye(len(scales))[j]), k * half.lead])
+            normal, right, _ = recording.equations.of_channel(j)
+            rows = np.hstack(
+                [np.outer(x, np.eye(len(scales))[j]), scale * recording.lead]
+            )
             matrix += weight * rows.T @ normal @ rows
-            vector += weight * rows.T @ (right - k * normal @ x)
+            vector += weight * rows.T @ (right - scale * normal @ x)
     return matrix, vector
 
 
-def _covariance(halves: Sequence[_Half], scales: Array, v: Array) -> Array:
-    """Of the scales, (n, n), by the linearised rows of both recordings under coloured noise."""
-    sums, n = LaggedSums(HIGHEST), len(scales)
-    for half in halves:
-        sums.pause()
-        for rows in _linearised(half, scales, v):
+def _covariance(
+    recordings: Sequence[_LinearRecording], scales: Array, v: Array
+) -> Array:
+    """Covariance of the torque scales, (n, n), under coloured noise.
+
+    It is that of generalised least squares on the linearised rows of both recordings with
+    autoregressive noise. It is enlarged by a factor determined from simulated replicas of the noise
+    (parametric bootstrap).
+
+    Args:
+        recordings: The recordings without and with the payload.
+        scales: Torque scales, (n,).
+        v: Common unknowns, (m,).
+    """
+    sums, n = LaggedSums(MAX_AUTOREGRESSION_ORDER), len(scales)
+    for recording in recordings:
+        sums.end_sequence()
+        for rows in _weighted_jacobian(recording, scales, v):
             sums.add(rows)
-    given = sums.finish()
-    (fit,) = weighted_fits(given)
+    products = sums.lagged_products()
+    (fit,) = weighted_fits(products)
     replicas = Replicas(fit.noise)
-    for half in halves:
-        replicas.pause()
-        for rows in _linearised(half, scales, v):
+    for recording in recordings:
+        replicas.end_sequence()
+        for rows in _weighted_jacobian(recording, scales, v):
             replicas.add(rows[..., :-2], rows[..., -1])
-    squares = replicas.squares(weighted_fits, np.eye(given.unknowns))
+    squares = replicas.normalised_squares(weighted_fits, np.eye(products.unknowns))
     return max(1.0, float(squares.mean())) * fit.covariance[:n, :n]
 
 
-def _linearised(half: _Half, scales: Array, v: Array) -> Iterator[Array]:
-    """Columns of scales and v, residuals, in units of noise, and ones, (C, k, n + m + 2)."""
-    x, k = half.lead @ v + half.fixed, scales[:, None, None]
-    root = np.sqrt(half.weights(x, scales))[:, None, None]
-    for columns, measured in half.passes.rows(np.eye(len(x))):
+def _weighted_jacobian(
+    recording: _LinearRecording, scales: Array, v: Array
+) -> Iterator[Array]:
+    """Yield blocks of the Jacobian and residuals, in units of noise.
+
+    Blocks have k rows for each of the C channels, (C, k, n + m + 2). The columns are the n scales,
+    the m elements of v, the residual, and an indicator that is 1 for rows in use.
+
+    Args:
+        recording: One of the two recordings.
+        scales: Torque scales, (n,).
+        v: Common unknowns, (m,).
+    """
+    x, factors = recording.lead @ v + recording.fixed, scales[:, None, None]
+    root = np.sqrt(recording.weights(x, scales))[:, None, None]
+    for columns, measured in recording.passes.rows(np.eye(len(x))):
         torque = (columns @ x)[..., None]
         by_scale = torque * np.eye(len(scales))[:, None]
-        rows = [by_scale, k * columns @ half.lead, measured[..., None] - k * torque]
-        ones = counted(columns, measured)[..., None]
-        yield np.concatenate([*(root * each for each in rows), ones], axis=2)
+        rows = [
+            by_scale,
+            factors * columns @ recording.lead,
+            measured[..., None] - factors * torque,
+        ]
+        is_counted = row_indicators(columns, measured)[..., None]
+        yield np.concatenate([*(root * block for block in rows), is_counted], axis=2)

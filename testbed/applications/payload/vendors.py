@@ -1,7 +1,7 @@
-"""A payload in the words of robot controllers: one function a vendor, `VENDORS` lists them.
+"""Payload commands and files for robot controllers, one function per vendor in `VENDORS`.
 
-All of them want mass, mass centre in the flange's frame, and inertia about the mass centre; KUKA
-the principal moments, with the axes that they are about.
+All need the mass, the centre of mass in the flange's frame, and the inertia about the centre of
+mass; KUKA the principal moments, and the orientation of the principal axes.
 
 Source    Universal Robots' script manual, `set_target_payload`: m [kg], cog [m] from the tool
           mount, inertia [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] [kg m^2] with origin in the cog and axes
@@ -23,35 +23,36 @@ from scipy.optimize import approx_fprime
 
 from testbed.applications.payload.payload import PayloadEstimate
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import SettingsError, few
+from testbed.core.base.errors import SettingsError, shortened_list
 from testbed.core.estimation.regression.normal_equations import standard_deviations
-from testbed.core.parameters.pseudo_inertia import matrices
+from testbed.core.parameters.pseudo_inertia import pseudo_inertias
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.repair import FileLink
+from testbed.core.robot.repair import ModelLink
 from testbed.core.robot.rigid_matter import inertia_flaw
-from testbed.core.robot.rotations import to_rpy
+from testbed.core.robot.rotations import matrix_to_rpy
 from testbed.core.robot.tree import Tree
 
-SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Entries of an inertia: Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
+INERTIA_INDICES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Indices of an inertia matrix: Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
 
-STEP = 1e-3
-"""Of derivatives, in standard deviations."""
+STEP_SIGMAS = 1e-3
+"""Step of numerical derivatives, in standard deviations."""
 
-CLEAR = 3.0
-"""Standard deviations by which a mass is none of noise."""
+Z_THRESHOLD = 3.0
+"""Smallest significant mass, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlangePayload:
-    """A payload about and along a flange's frame.
+    """Inertial parameters of a payload in a flange's frame.
 
     Attributes:
-        frame: The flange's link.
-        inertia: The body.
-        sigma: Standard deviations of mass, centre, and the six of the inertia about the mass
-            centre in the order SIX, (10,) [kg, m, kg m^2]; of mass and centre alone, (4,), where
-            the inertia is not identifiable.
+        frame: Name of the flange's link.
+        inertia: Mass, centre of mass and inertia about the centre of mass, in the flange's frame;
+            the inertia has no meaning if it is not identifiable.
+        sigma: Standard deviations of mass, centre, and inertia about the centre of mass in the
+            order `INERTIA_INDICES`, (10,) [kg, m, kg m^2]. If the inertia is not identifiable,
+            those of mass and centre only, (4,).
     """
 
     frame: str
@@ -59,89 +60,121 @@ class FlangePayload:
     sigma: Array
 
     @property
-    def six(self) -> list[float]:
-        """Inertia about the mass centre: Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2], or empty."""
-        return [float(self.inertia.central[at]) for at in SIX[: len(self.sigma) - 4]]
+    def inertia_components(self) -> list[float]:
+        """Inertia components Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass [kg m^2].
+
+        The list is empty if the inertia is not identifiable.
+        """
+        return [
+            float(self.inertia.central[index])
+            for index in INERTIA_INDICES[: len(self.sigma) - 4]
+        ]
 
     def comment(self, mark: str) -> list[str]:
-        """Lines of a comment: the frame, and the standard deviations.
+        """Comment lines with frame and standard deviations, for a robot controller's program.
 
         Args:
-            mark: What a comment begins with.
+            mark: Prefix of a comment line.
         """
-        mass, *rest = (f"{value:.2g}" for value in self.sigma)
-        six = "the inertia is not identifiable by poses at rest: by a motion it is"
-        if self.six:
-            six = f"Ixx Iyy Izz Ixy Ixz Iyz {' '.join(rest[3:])} kg m^2"
+        mass, *other_sigmas = (f"{value:.2g}" for value in self.sigma)
+        inertia_line = (
+            "the inertia is not identifiable by poses at rest: by a motion it is"
+        )
+        if self.inertia_components:
+            inertia_line = (
+                f"Ixx Iyy Izz Ixy Ixz Iyz {' '.join(other_sigmas[3:])} kg m^2"
+            )
         return [
             f"{mark}payload about and along the frame of '{self.frame}'; standard deviations:",
-            f"{mark}mass {mass} kg, centre {' '.join(rest[:3])} m,",
-            f"{mark}{six}",
+            f"{mark}mass {mass} kg, centre {' '.join(other_sigmas[:3])} m,",
+            f"{mark}{inertia_line}",
         ]
 
 
-def at_flange(
-    found: PayloadEstimate, tree: Tree, link: FileLink | None = None
+def flange_payload(
+    estimate: PayloadEstimate, tree: Tree, link: ModelLink | None = None
 ) -> FlangePayload:
-    """A payload, or the tool that a force sensor carries, about and along a flange's frame.
+    """Transform the estimate of a payload or tool to the frame of a flange.
+
+    If no component of the inertia is identifiable, only mass and centre of mass are transformed.
 
     Args:
-        found: About and along the frame of the link that its joint moves, a tool's of the sensor.
-        tree: The robot, or what the sensor feels.
-        link: The flange, fixed to that link; None for that link or sensor itself.
+        estimate: Estimate in the frame of the link that its joint moves, or, for a tool, in the
+            frame of the sensor.
+        tree: The robot; for a tool, the links beyond the force sensor.
+        link: Flange, fixed to the link that the joint moves; None for the frame of the estimate.
 
     Raises:
-        SettingsError: Not all of it is identifiable, it is no body that can exist, or the flange
-            is on another link.
+        SettingsError: Mass, centre, or some component of the inertia is not identifiable, the
+            parameters are not those of a physical body, or the flange is on another link.
     """
-    count = 10 if any(found.identifiable[4:]) else 4
-    known = np.array(found.identifiable)
-    lacking = [
-        name for name, one in zip(found.names[:count], known, strict=False) if not one
-    ]
-    if lacking:
-        raise SettingsError(
-            f"a controller wants all of a payload, and {few(lacking)} are not identifiable"
+    count = 10 if any(estimate.identifiable[4:]) else 4
+    identifiable = np.array(estimate.identifiable)
+    unidentifiable = [
+        name
+        for name, is_identifiable in zip(
+            estimate.names[:count], identifiable, strict=False
         )
-    body, sensor = tree.index(found.joint), tree.sensor
-    if link is not None and link.body != body:
-        raise SettingsError(f"'{link.name}' does not move with joint '{found.joint}'")
+        if not is_identifiable
+    ]
+    if unidentifiable:
+        raise SettingsError(
+            "a controller requires all of a payload, and "
+            f"{shortened_list(unidentifiable)} are not identifiable"
+        )
+    body_index, sensor = tree.index(estimate.joint), tree.sensor
+    if link is not None and link.body != body_index:
+        raise SettingsError(
+            f"'{link.name}' does not move with joint '{estimate.joint}'"
+        )
 
-    def seen(values: Array) -> Inertia:
-        inertia = Inertia.of_pseudo(matrices(values))
+    def flange_inertia(values: Array) -> Inertia:
+        inertia = Inertia.of_pseudo(pseudo_inertias(values))
         if link is not None and sensor is not None:
-            inertia = inertia.moved(sensor.X_BS)
-        return inertia if link is None else inertia.moved(link.X_BL.inverse)
+            inertia = inertia.transformed(sensor.X_BS)
+        return inertia if link is None else inertia.transformed(link.X_BL.inverse)
 
-    def numbers(values: Array) -> Array:
-        own = seen(values)
-        return np.array([own.mass, *own.com, *(own.central[at] for at in SIX)])[:count]
+    def flange_parameters(values: Array) -> Array:
+        transformed = flange_inertia(values)
+        return np.array(
+            [
+                transformed.mass,
+                *transformed.com,
+                *(transformed.central[index] for index in INERTIA_INDICES),
+            ]
+        )[:count]
 
-    inertia = seen(found.values)
-    _check(found, inertia, whole=count == 10)
-    steps = STEP * np.where(known, found.sigma, 1.0)
-    slope = approx_fprime(found.values, numbers, steps)
-    frame = tree.joints[body].body if sensor is None else sensor.name
+    inertia = flange_inertia(estimate.values)
+    _check_inertia(estimate, inertia, whole=count == 10)
+    steps = STEP_SIGMAS * np.where(identifiable, estimate.sigma, 1.0)
+    jacobian = approx_fprime(estimate.values, flange_parameters, steps)
+    frame = tree.joints[body_index].body if sensor is None else sensor.name
     return FlangePayload(
         frame=frame if link is None else link.name,
         inertia=inertia,
         sigma=standard_deviations(
-            slope @ np.where(known, found.covariance, 0.0) @ slope.T
+            jacobian @ np.where(identifiable, estimate.covariance, 0.0) @ jacobian.T
         ),
     )
 
 
-def _check(found: PayloadEstimate, inertia: Inertia, *, whole: bool) -> None:
-    """Raise SettingsError where no body has such a mass and inertia."""
+def _check_inertia(estimate: PayloadEstimate, inertia: Inertia, *, whole: bool) -> None:
+    """Raise SettingsError if no physical body has these inertial parameters.
+
+    Args:
+        estimate: Estimate, from which the message derives the likely cause.
+        inertia: Inertia in the flange's frame.
+        whole: True to check mass and inertia, False for the mass only.
+    """
     flaw = inertia_flaw(
         "payload", inertia.mass, inertia.central if whole else np.eye(3)
     )
     if not flaw:
         return
     remedy = "longer and faster motion makes it more precise"
-    if found.values[0] < -CLEAR * found.sigma[0]:
+    if estimate.values[0] < -Z_THRESHOLD * estimate.sigma[0]:
         remedy = "the recording without the payload comes first, the one with it second"
-    elif abs(found.values[0]) <= CLEAR * found.sigma[0]:
+    elif abs(estimate.values[0]) <= Z_THRESHOLD * estimate.sigma[0]:
         remedy = "the recordings do not differ by a payload"
     raise SettingsError(
         f"no controller should get a body that cannot exist: {flaw}; {remedy}"
@@ -149,48 +182,66 @@ def _check(found: PayloadEstimate, inertia: Inertia, *, whole: bool) -> None:
 
 
 def universal_robots(load: FlangePayload) -> str:
-    """URScript: `set_target_payload`."""
-    words = [
+    """URScript call of `set_target_payload`, preceded by comment lines.
+
+    The arguments are mass [kg], centre of mass [m], and inertia about the centre of mass [kg m^2]
+    if identifiable.
+    """
+    arguments = [
         load.inertia.mass,
         load.inertia.com.tolist(),
-        *([load.six] if load.six else []),
+        *([load.inertia_components] if load.inertia_components else []),
     ]
-    return "\n".join([*load.comment("# "), f"set_target_payload({str(words)[1:-1]})"])
+    return "\n".join(
+        [*load.comment("# "), f"set_target_payload({str(arguments)[1:-1]})"]
+    )
 
 
 def franka(load: FlangePayload) -> str:
-    """JSON with the three arguments of `setLoad`, named as in Desk's file of an end effector."""
+    """JSON object with the arguments of `setLoad`.
+
+    The keys are "mass", "centerOfMass", "comment" and "inertia". The inertia about the centre of
+    mass is in column-major order, and absent if not identifiable.
+    """
     inertia = load.inertia
-    said = {
+    fields = {
         "mass": inertia.mass,
         "centerOfMass": inertia.com.tolist(),
         "comment": " ".join(load.comment("")),
     }
-    if load.six:
-        said["inertia"] = inertia.central.ravel(order="F").tolist()
-    return json.dumps(said, indent=1)
+    if load.inertia_components:
+        fields["inertia"] = inertia.central.ravel(order="F").tolist()
+    return json.dumps(fields, indent=1)
 
 
 def kuka(load: FlangePayload) -> str:
-    """KRL: LOAD_DATA of tool 1, with principal moments."""
-    moments, axes = np.linalg.eigh(load.inertia.central if load.six else np.eye(3))
+    """KRL assignment to LOAD_DATA of tool 1, preceded by comment lines.
+
+    The fields are the mass M [kg], the frame CM with the centre of mass [mm] and the orientation A,
+    B, C of the principal axes [degrees], and the principal moments J [kg m^2] in ascending order. J
+    is absent if the inertia is not identifiable.
+    """
+    moments, axes = np.linalg.eigh(
+        load.inertia.central if load.inertia_components else np.eye(3)
+    )
     axes[:, 0] *= np.sign(np.linalg.det(axes))
-    angles = np.rad2deg(to_rpy(axes)[::-1])
-    centre = _fields("XYZABC", [*(1e3 * load.inertia.com), *angles])
-    inertia = f",J {{{_fields('XYZ', moments)}}}" if load.six else ""
+    angles = np.rad2deg(matrix_to_rpy(axes)[::-1])
+    centre = _krl_fields("XYZABC", [*(1e3 * load.inertia.com), *angles])
+    inertia = f",J {{{_krl_fields('XYZ', moments)}}}" if load.inertia_components else ""
     call = f"LOAD_DATA[1]={{M {load.inertia.mass!r},CM {{{centre}}}{inertia}}}"
     return "\n".join([*load.comment("; "), call])
 
 
-def _fields(names: str, values: Sequence[float] | Array) -> str:
+def _krl_fields(names: str, values: Sequence[float] | Array) -> str:
+    """Text of KRL structure fields from names and values: "X 1.0,Y 2.0"."""
     return ",".join(
         f"{name} {float(x)!r}" for name, x in zip(names, values, strict=True)
     )
 
 
-VENDORS: Mapping[str, Callable[[FlangePayload], str]] = {
+VENDOR_WRITERS: Mapping[str, Callable[[FlangePayload], str]] = {
     "ur": universal_robots,
     "franka": franka,
     "kuka": kuka,
 }
-"""By the word on the command line."""
+"""Functions that write a payload, by vendor on the command line."""

@@ -1,5 +1,5 @@
-"""Physically consistent bodies by semidefinite programming.
+"""Physically consistent bodies from nonlinear programming with a log-determinant divergence.
 
 In: an `Estimate`, bodies of the file, bounds.
-Out: pseudo-inertias that are positive definite, and draws of them.
+Out: pseudo-inertias that are positive definite, and samples of them.
 """

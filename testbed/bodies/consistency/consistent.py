@@ -1,4 +1,4 @@
-"""Bodies that could exist, by estimates and a model file together, weighted by held-out data."""
+"""Physically consistent bodies from estimates, with a model file as prior."""
 
 from __future__ import annotations
 
@@ -11,104 +11,113 @@ from scipy import special
 from testbed.bodies.consistency.known_masses import known_masses
 from testbed.bodies.consistency.likelihood import (
     Likelihood,
-    agreeing,
-    evidence,
-    precise,
-    terms_of,
+    has_valid_covariance,
+    joint_terms_of,
+    likelihood_of,
+    with_widened_torques,
 )
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.consistency.program import NonlinearProgram, program_of, solve
-from testbed.bodies.prior import Prior
-from testbed.core.base.arrays import Array, freeze
+from testbed.bodies.consistency.program import (
+    NonlinearProgram,
+    nonlinear_program,
+    solve_program,
+)
+from testbed.bodies.prior import PriorBodies
+from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.codec import with_properties
-from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.core.base.errors import RecordingError, few
+from testbed.core.base.codec import schema_with_properties
+from testbed.core.base.diagnostics import Diagnosed, Diagnostic, make_diagnostic
+from testbed.core.base.errors import RecordingError, shortened_list
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
-from testbed.core.estimation.estimate import Estimate, Method
+from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import (
-    TINY,
+    SMALLEST_POSITIVE,
     standard_deviations,
 )
-from testbed.core.parameters.pseudo_inertia import matrices
-from testbed.core.parameters.symbols import with_standard
+from testbed.core.parameters.pseudo_inertia import pseudo_inertias
+from testbed.core.parameters.rules import Signal
+from testbed.core.parameters.symbols import with_standard_parameters
 from testbed.core.robot.friction import ROTOR, JointTerm
-from testbed.core.robot.shafts import places
+from testbed.core.robot.shafts import joint_and_shaft_names
 from testbed.core.robot.tree import Tree
 
-CLOSE = 1e-6
-"""A condition that is obeyed with less than this part of the prior's size binds."""
+ACTIVE_TOLERANCE = 1e-6
+"""Relative value of a joint term below which its non-negativity constraint is active."""
 
-FAINT = 1e-12
-"""Weight of terms that no file states, so that their variance before the data has a number."""
+FREE_TERM_WEIGHT = 1e-12
+"""Prior weight of joint terms that are not in the model file: a finite prior variance."""
 
-SURE = 3.0
-"""Sigmas beyond which data and physics contradict each other."""
+Z_THRESHOLD = 3.0
+"""Number of sigmas beyond which differences are reported as contradictions."""
 
-SETTLED = 0.1
-"""Sigmas that a program may leave open."""
+MAX_DECREMENT = 0.1
+"""Largest Newton decrement of a converged program [sigma]."""
 
-THIN = 1e-2
-"""Parts of the prior's body below which a body is at the edge of what can be."""
+MIN_EIGENVALUE = 1e-2
+"""Smallest eigenvalue of Y below which a body is reported as nearly singular."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Reconciliation(Gaussian):
-    """Parameters of one estimate by the consistent bodies; sigma counts the prior's doubt.
+    """Parameters of one estimate, computed from the consistent bodies.
+
+    The property `sigma` includes the uncertainty of the prior.
 
     Attributes:
-        method: Of the estimate.
-        plain: As estimated, (p,).
-        plain_sigma: (p,), widened where another estimate contradicts it.
-        widened: By how much.
-        distance: Between both, in sigmas of all parameters together: about the root of p
-            where only noise is between them.
+        method: Method of the estimate.
+        plain: Values of the estimate itself, (p,).
+        plain_sigma: Standard deviations of the estimate itself, (p,), multiplied by `widened`.
+        widened: Factor, at least one, for a contradiction with another estimate.
+        distance: Norm of the whitened differences between estimate and consistent bodies [sigma];
+            about sqrt(p) if the differences are only noise.
     """
 
-    method: Method
+    method: Signal
     plain: Array
     plain_sigma: Array
     widened: float
     distance: float
 
-    __get_pydantic_core_schema__ = with_properties("sigma", "sigmas")
+    __get_pydantic_core_schema__ = schema_with_properties("sigma", "sigmas")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         p = len(self.names)
-        freeze(self, plain=(p,), plain_sigma=(p,))
+        freeze_arrays(self, plain=(p,), plain_sigma=(p,))
 
     @property
     def sigmas(self) -> Array:
-        """By how many of its own sigmas each parameter was moved, (p,)."""
+        """Differences from the estimate, in standard deviations of the estimate, (p,)."""
         gap = self.values - self.plain
-        return gap / np.maximum(self.plain_sigma, TINY)
+        return gap / np.maximum(self.plain_sigma, SMALLEST_POSITIVE)
 
 
 @dataclass(frozen=True, eq=False)
 class Consistent(Diagnosed):
-    """Bodies, friction and rotors that could exist.
+    """Physically consistent bodies, friction and rotor inertias of a robot.
 
     Attributes:
-        joints: The joints' names, (n,).
-        places: Those and the names of shafts that turn with several: where terms are.
-        links: The bodies' names, (n,).
-        standard: Standard parameters, (n, 10) [kg, kg m, kg m^2].
-        sigma: Of each, data's and prior's doubt together, (n, 10).
-        data_share: Part of the prior's variance that the data took away, (n, 10): 1 where the data
-            identify a parameter, 0 where the prior or what is known filled it in.
-        prior: Standard parameters of the model file's bodies, as they were taken, (n, 10).
-        terms: Of the joints' torque, t of them.
-        coefficients: Theirs, (t,).
-        coefficient_sigma: (t,).
-        bent: How far each estimate had to give way.
-        eigenvalues: Of every J, ascending, lengths in radii of gyration of the body, masses in
-            its own, (n, 4); zero for bodies without matter.
-        binding: Conditions at their limits, in words.
-        unsettled: Sigmas that the program could still gain: far below one where it has ended.
-        prior_error: That was used, in parts of the prior's bodies.
-        diagnostics: What a careful reader should know.
+        joints: Names of the joints, (n,).
+        places: Names that the indices of joint terms refer to: the joints, then the shafts that
+            turn with several joints.
+        links: Names of the bodies, (n,).
+        standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz about and along the body
+            frames, (n, 10) [kg, kg m, kg m^2].
+        sigma: Posterior standard deviations of `standard`, (n, 10).
+        data_share: Fraction of the prior variance that the data remove, (n, 10): 1 for parameters
+            that the data identify, 0 for parameters that the prior or known masses determine.
+        prior: Standard parameters of the prior bodies, (n, 10).
+        terms: Joint torque terms, (t,).
+        coefficients: Coefficients of the terms, (t,).
+        coefficient_sigma: Standard deviations of the coefficients, (t,).
+        bent: Comparison of each estimate with the consistent bodies.
+        eigenvalues: Eigenvalues of each pseudo-inertia, ascending, (n, 4), with the body's radius
+            of gyration and mass as units; zero for massless bodies.
+        binding: Descriptions of the active constraints.
+        unsettled: Newton decrement at the end [sigma]; far below one after convergence.
+        prior_error: Relative error of the prior bodies.
+        diagnostics: Diagnostics of prior, estimates and solution.
     """
 
     joints: tuple[str, ...]
@@ -131,41 +140,53 @@ class Consistent(Diagnosed):
     def __post_init__(self) -> None:
         n, t = len(self.joints), len(self.terms)
         shapes = dict.fromkeys(("standard", "sigma", "data_share", "prior"), (n, 10))
-        freeze(self, **shapes, eigenvalues=(n, 4))
-        freeze(self, coefficients=(t,), coefficient_sigma=(t,))
+        freeze_arrays(self, **shapes, eigenvalues=(n, 4))
+        freeze_arrays(self, coefficients=(t,), coefficient_sigma=(t,))
 
 
 def consistent(
     tree: Tree,
     estimates: Sequence[Estimate],
-    prior: Prior,
+    prior: PriorBodies,
     options: ConsistencyOptions | None = None,
 ) -> Consistent:
-    """Bodies that could exist, fit what was measured, and are near the model file's otherwise.
+    """Physically consistent bodies that fit estimates and otherwise stay near the model file.
+
+    They minimise half the sum of the estimates' squared whitened residuals plus 1 / prior_error^2
+    times a log-determinant divergence from the pseudo-inertias in the file, with non-negative
+    friction and rotor inertias. Standard deviations follow from the Laplace approximation.
 
     Args:
-        tree: The robot; its inertias do not matter.
-        estimates: Of one recording, one a method; what each says of x counts by itself.
-        prior: The bodies before the data.
-        options: What is asked besides; default `ConsistencyOptions()`.
+        tree: Robot; its inertias are not used.
+        estimates: Estimates from one recording, one per method, with independent errors.
+        prior: Prior bodies.
+        options: Options; None for `ConsistencyOptions()`.
 
     Raises:
-        SettingsError: No bodies obey all that is asked.
-        RecordingError: There is no estimate whose covariance is one.
-        UnknownName: A wish is about a link that is not there.
+        SettingsError: The known masses are impossible.
+        RecordingError: No estimate has a valid covariance.
+        UnknownName: A known mass belongs to a link that does not exist.
     """
     options = options or ConsistencyOptions()
     with one_blas_thread():
-        used, likelihoods, program = problem_of(tree, estimates, prior, options)
+        used, likelihoods, program = consistency_program(
+            tree, estimates, prior, options
+        )
         weight = 1 / options.prior_error**2
-        z, left = solve(program, weight)
-        spread, shares = spread_at(program, z, weight)
-    x, sigma, terms = program.lead @ z, standard_deviations(spread), terms_of(used)
+        z, decrement = solve_program(program, weight)
+        covariance, shares = laplace_covariance(program, z, weight)
+    x, sigma, terms = (
+        program.x_from_z @ z,
+        standard_deviations(covariance),
+        joint_terms_of(used),
+    )
     bodies = x[: 10 * tree.n].reshape(-1, 10)
-    bent = tuple(_bent(each, x, spread) for each in likelihoods)
+    reconciliations = tuple(
+        _reconciliation(each, x, covariance) for each in likelihoods
+    )
     return Consistent(
         joints=tree.names,
-        places=places(tree),
+        places=joint_and_shaft_names(tree),
         links=tuple(each.body for each in tree.joints),
         standard=bodies,
         sigma=sigma[: 10 * tree.n].reshape(-1, 10),
@@ -174,32 +195,47 @@ def consistent(
         terms=terms,
         coefficients=x[10 * tree.n :],
         coefficient_sigma=sigma[10 * tree.n :],
-        bent=bent,
-        eigenvalues=np.array([_eigenvalues(each) for each in bodies]),
-        binding=tuple(_at_limits(tree, program, terms, z)),
-        unsettled=left,
+        bent=reconciliations,
+        eigenvalues=np.array([_scaled_eigenvalues(each) for each in bodies]),
+        binding=tuple(_active_constraints(tree, program, terms, z)),
+        unsettled=decrement,
         prior_error=options.prior_error,
-        diagnostics=tuple(_diagnostics(prior, estimates, used, bent, left)),
+        diagnostics=tuple(
+            _diagnostics(prior, estimates, used, reconciliations, decrement)
+        ),
     )
 
 
-def problem_of(
-    tree: Tree, estimates: Sequence[Estimate], prior: Prior, options: ConsistencyOptions
+def consistency_program(
+    tree: Tree,
+    estimates: Sequence[Estimate],
+    prior: PriorBodies,
+    options: ConsistencyOptions,
 ) -> tuple[list[Estimate], list[Likelihood], NonlinearProgram]:
-    """Data, prior and conditions in numbers near one, and the estimates that count.
+    """Estimates with a valid covariance, their likelihoods, and the nonlinear program.
 
     Arguments and errors are those of `consistent`.
     """
-    used, blind = _usable(estimates), tree.without_inertias()
-    terms = terms_of(used)
-    likelihoods = agreeing([evidence(blind, each, terms) for each in used])
+    used, massless_tree = _estimates_with_covariance(estimates), tree.without_inertias()
+    terms = joint_terms_of(used)
+    likelihoods = with_widened_torques(
+        [likelihood_of(massless_tree, each, terms) for each in used]
+    )
     known = known_masses(tree, prior, options)
-    return used, likelihoods, program_of(blind, prior, likelihoods, known, terms)
+    return (
+        used,
+        likelihoods,
+        nonlinear_program(massless_tree, prior, likelihoods, known, terms),
+    )
 
 
-def _usable(estimates: Sequence[Estimate]) -> list[Estimate]:
-    """Those that have a covariance."""
-    used = [each for each in estimates if precise(each)]
+def _estimates_with_covariance(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Estimates with a positive semidefinite covariance.
+
+    Raises:
+        RecordingError: No estimate has a valid covariance.
+    """
+    used = [each for each in estimates if has_valid_covariance(each)]
     if not used:
         raise RecordingError(
             "consistent bodies need an estimate with a covariance, and hardly more rows than "
@@ -208,148 +244,238 @@ def _usable(estimates: Sequence[Estimate]) -> list[Estimate]:
     return used
 
 
-def robot_of(found: Consistent, tree: Tree) -> Tree:
-    """The robot with its consistent bodies, friction and rotors; other terms have no place there.
+def robot_of(bodies: Consistent, tree: Tree) -> Tree:
+    """Robot with the consistent bodies, friction and rotor inertias.
+
+    Joint terms for which the tree's joints have no field are left out; negative coefficients become
+    zero.
 
     Args:
-        found: Of this robot.
-        tree: The robot.
+        bodies: Consistent bodies of the robot.
+        tree: Robot.
     """
     settings: dict[str, dict[str, object]] = {name: {} for name in tree.names}
-    for term, value in zip(found.terms, found.coefficients.tolist(), strict=True):
+    for term, value in zip(bodies.terms, bodies.coefficients.tolist(), strict=True):
         if term.law.parameter is not None and term.joint < tree.n:
             settings[tree.names[term.joint]][term.law.parameter] = max(value, 0.0)
-    return with_standard(tree, np.array(found.standard)).with_joints(settings)
+    return with_standard_parameters(tree, np.array(bodies.standard)).with_joints(
+        settings
+    )
 
 
-def spread_at(
+def laplace_covariance(
     program: NonlinearProgram, z: Array, weight: float
 ) -> tuple[Array, Array]:
-    """Covariance of x, (m, m), and the part of each variance that the data took away, (m,).
+    """Covariance of x, (m, m), and fraction of each prior variance that the data remove, (m,).
+
+    The covariance is the Laplace approximation at z, within the exact constraints.
 
     Args:
-        program: In numbers near one.
-        z: The unknowns, (m,).
-        weight: Of the prior.
+        program: Program of consistent bodies; x are standard parameters, then joint terms.
+        z: Unknowns of the program, (m,).
+        weight: Weight of the prior, 1 / prior_error^2.
     """
-    besides = program.rows[program.measured :]
-    before = weight * program.prior_hessian(z) + besides.T @ besides
-    rest = np.arange(10 * program.bodies, len(z))
-    before[rest, rest] += FAINT
-    data = program.rows[: program.measured]
-    lead = program.lead @ program.free
+    other_rows = program.rows[program.data_row_count :]
+    prior_hessian = weight * program.prior_hessian(z) + other_rows.T @ other_rows
+    term_indices = np.arange(10 * program.body_count, len(z))
+    prior_hessian[term_indices, term_indices] += FREE_TERM_WEIGHT
+    data = program.rows[: program.data_row_count]
+    free_lead = program.x_from_z @ program.null_space_basis
 
     def covariance(hessian: Array) -> Array:
-        return lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T
+        return (
+            free_lead
+            @ np.linalg.inv(
+                program.null_space_basis.T @ hessian @ program.null_space_basis
+            )
+            @ free_lead.T
+        )
 
-    prior, found = np.diagonal(covariance(before)), covariance(before + data.T @ data)
-    # else what is known settles it
-    open_before = prior > FAINT * (program.lead**2).sum(axis=1)
-    share = 1 - np.divide(
-        np.diagonal(found), prior, out=np.ones_like(prior), where=open_before
+    prior_variance, posterior_covariance = (
+        np.diagonal(covariance(prior_hessian)),
+        covariance(prior_hessian + data.T @ data),
     )
-    return found * np.outer(open_before, open_before), np.clip(share, 0.0, 1.0)
+    # other parameters are known exactly
+    is_uncertain = prior_variance > FREE_TERM_WEIGHT * (program.x_from_z**2).sum(axis=1)
+    share = 1 - np.divide(
+        np.diagonal(posterior_covariance),
+        prior_variance,
+        out=np.ones_like(prior_variance),
+        where=is_uncertain,
+    )
+    return posterior_covariance * np.outer(is_uncertain, is_uncertain), np.clip(
+        share, 0.0, 1.0
+    )
 
 
-def _bent(likelihoods: Likelihood, x: Array, spread: Array) -> Reconciliation:
-    """How far an estimate had to give way."""
-    estimate = likelihoods.estimate
+def _reconciliation(
+    likelihood: Likelihood, x: Array, covariance: Array
+) -> Reconciliation:
+    """Comparison of an estimate with the consistent bodies.
+
+    Args:
+        likelihood: Likelihood of the estimate.
+        x: Standard parameters and joint terms, (m,).
+        covariance: Covariance of x, (m, m).
+    """
+    estimate = likelihood.estimate
     return Reconciliation(
         method=estimate.method,
         names=estimate.names,
         units=estimate.units,
         plain=estimate.values,
-        plain_sigma=likelihoods.widened * estimate.sigma,
-        values=likelihoods.rows @ x,
-        covariance=likelihoods.rows @ spread @ likelihoods.rows.T,
-        widened=likelihoods.widened,
-        distance=float(np.linalg.norm(likelihoods.left(x))),
+        plain_sigma=likelihood.sigma_factor * estimate.sigma,
+        values=likelihood.rows @ x,
+        covariance=likelihood.rows @ covariance @ likelihood.rows.T,
+        widened=likelihood.sigma_factor,
+        distance=float(np.linalg.norm(likelihood.whitened_residuals(x))),
     )
 
 
-def _eigenvalues(body: Array) -> Array:
-    """Of J without units, ascending, (4,); zero without matter."""
+def _scaled_eigenvalues(body: Array) -> Array:
+    """Dimensionless eigenvalues of a body's pseudo-inertia, ascending, (4,).
+
+    The units are the body's mass and radius of gyration. The result is zero for a massless body.
+
+    Args:
+        body: Standard parameters, (10,).
+    """
     if not body[0]:
         return np.zeros(4)
-    whole = matrices(body) / body[0]
-    radius = np.sqrt(max(np.trace(whole[:3, :3]) - whole[:3, 3] @ whole[:3, 3], TINY))
-    size = np.array([radius, radius, radius, 1.0])
-    return np.linalg.eigvalsh(whole / np.outer(size, size))
+    pseudo_inertia = pseudo_inertias(body) / body[0]
+    radius = np.sqrt(
+        max(
+            np.trace(pseudo_inertia[:3, :3])
+            - pseudo_inertia[:3, 3] @ pseudo_inertia[:3, 3],
+            SMALLEST_POSITIVE,
+        )
+    )
+    units = np.array([radius, radius, radius, 1.0])
+    return np.linalg.eigvalsh(pseudo_inertia / np.outer(units, units))
 
 
-def _at_limits(
+def _active_constraints(
     tree: Tree, program: NonlinearProgram, terms: Sequence[JointTerm], z: Array
 ) -> Iterator[str]:
-    """Bodies at the edge of what can be, and conditions that bind."""
-    for body, own in zip(program.prior.massive, program.matrices(z), strict=True):
-        if np.linalg.eigvalsh(own)[0] < THIN:
+    """Yield descriptions of nearly singular bodies and of joint terms at zero.
+
+    A body is nearly singular if Y, its pseudo-inertia relative to that in the file, has an
+    eigenvalue below 0.01.
+
+    Args:
+        tree: Robot.
+        program: Program of consistent bodies.
+        terms: Joint terms in the order of x.
+        z: Unknowns, (m,).
+    """
+    for body, Y in zip(program.prior.massive_bodies, program.matrices(z), strict=True):
+        if np.linalg.eigvalsh(Y)[0] < MIN_EIGENVALUE:
             yield f"'{tree.joints[body].body}' a possible body"
-    for k in program.positive[z[program.positive] < CLOSE] - 10 * program.bodies:
+    for k in (
+        program.nonnegative_indices[z[program.nonnegative_indices] < ACTIVE_TOLERANCE]
+        - 10 * program.body_count
+    ):
         yield f"{terms[k].name(tree)} not negative"
 
 
 def _diagnostics(
-    prior: Prior,
+    prior: PriorBodies,
     estimates: Sequence[Estimate],
     used: Sequence[Estimate],
-    bent: Sequence[Reconciliation],
-    unsettled: float,
+    reconciliations: Sequence[Reconciliation],
+    decrement: float,
 ) -> Iterator[Diagnostic]:
-    """What a careful reader should know of estimates, those used, and the program's end."""
+    """Diagnostics of the prior, the estimates and the solution.
+
+    Reported are estimates without a valid covariance; rotor inertias of the file that a torque
+    estimate attributes to the bodies; a Newton decrement over 0.1; sigmas widened by a factor over
+    3; estimates far from the bodies; negative terms; and terms without a field in model files.
+
+    Args:
+        prior: Prior bodies.
+        estimates: All estimates.
+        used: Estimates with a valid covariance.
+        reconciliations: Comparison of each used estimate with the bodies.
+        decrement: Newton decrement at the end [sigma].
+    """
     yield from prior.diagnostics
     for each in estimates:
         if not any(each is other for other in used):
             subject, unknowns = f"the {each.method} estimate", len(each.names)
             rows = sum(each.samples)
-            yield diagnose("bodies.left-out", subject, rows=rows, unknowns=unknowns)
+            yield make_diagnostic(
+                "bodies.left-out", subject, rows=rows, unknowns=unknowns
+            )
     for each in used:
         if each.drives is None or not prior.rotors.any():
             continue
         if not any(term.law == ROTOR for term in each.drives.asked):
-            yield diagnose("bodies.rotors", method=each.method)
-    if not unsettled < SETTLED:
-        yield diagnose("bodies.not-converged", "the consistent bodies", unsettled)
-    for estimate, moved in zip(used, bent, strict=True):
-        if moved.widened > SURE:
+            yield make_diagnostic("bodies.rotors", method=each.method)
+    if not decrement < MAX_DECREMENT:
+        yield make_diagnostic(
+            "bodies.not-converged", "the consistent bodies", decrement
+        )
+    for estimate, reconciliation in zip(used, reconciliations, strict=True):
+        if reconciliation.widened > Z_THRESHOLD:
             subject = f"the {estimate.method} estimate"
-            yield diagnose(
-                "bodies.conflict", subject, moved.widened, method=estimate.method
+            yield make_diagnostic(
+                "bodies.conflict",
+                subject,
+                reconciliation.widened,
+                method=estimate.method,
             )
-        yield from _moved_far(estimate, moved)
-        yield from _negative(estimate)
+        yield from _distance_diagnostics(estimate, reconciliation)
+        yield from _negative_term_diagnostics(estimate)
     terms = [term for each in used for term in each.joint_terms]
-    if lost := [t.name for t in terms if t.law.parameter is None]:
-        yield diagnose("bodies.no-place", few(lost))
+    if terms_without_field := [t.name for t in terms if t.law.parameter is None]:
+        yield make_diagnostic("bodies.no-place", shortened_list(terms_without_field))
 
 
-def _moved_far(estimate: Estimate, moved: Reconciliation) -> Iterator[Diagnostic]:
-    """An estimate that no bodies come near, or none of those that were asked for."""
-    limit = float(np.sqrt(special.chdtri(len(moved.names), 2 * special.ndtr(-SURE))))
-    if moved.distance <= limit:
-        return
-    found = rigid_body_test(estimate, SURE, 0.0)
-    far, noise = (
-        (found.distance, found.limit) if found.impossible else (moved.distance, limit)
+def _distance_diagnostics(
+    estimate: Estimate, reconciliation: Reconciliation
+) -> Iterator[Diagnostic]:
+    """Diagnostic of an estimate that differs significantly from the consistent bodies.
+
+    The distance exceeds the 0.9973 quantile of the chi distribution (3 sigma, two-sided). The code
+    is "bodies.impossible" if no rigid bodies at all are near the estimate, otherwise "bodies.far".
+
+    Args:
+        estimate: Estimate.
+        reconciliation: Comparison of the estimate with the bodies.
+    """
+    limit = float(
+        np.sqrt(
+            special.chdtri(len(reconciliation.names), 2 * special.ndtr(-Z_THRESHOLD))
+        )
     )
-    worst = np.argsort(-np.abs(moved.sigmas))[:3]
-    yield diagnose(
-        "bodies.impossible" if found.impossible else "bodies.far",
+    if reconciliation.distance <= limit:
+        return
+    test = rigid_body_test(estimate, Z_THRESHOLD, 0.0)
+    distance, distance_limit = (
+        (test.distance, test.limit)
+        if test.impossible
+        else (reconciliation.distance, limit)
+    )
+    worst = np.argsort(-np.abs(reconciliation.sigmas))[:3]
+    yield make_diagnostic(
+        "bodies.impossible" if test.impossible else "bodies.far",
         f"the {estimate.method} estimate",
-        far,
+        distance,
         method=estimate.method,
-        limit=noise,
+        limit=distance_limit,
         changes=", ".join(
-            f"{moved.names[k]} by {moved.sigmas[k]:+.3g} sigma" for k in worst
+            f"{reconciliation.names[k]} by {reconciliation.sigmas[k]:+.3g} sigma"
+            for k in worst
         ),
     )
 
 
-def _negative(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Friction and rotors that are surely below zero."""
+def _negative_term_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Diagnostics of friction coefficients and rotor inertias more than 3 sigma below zero."""
     for term in estimate.joint_terms:
-        known = term.law.resists or term.law == ROTOR
-        if known and term.value < -SURE * term.sigma:
-            yield diagnose(
+        is_nonnegative = term.law.dissipative or term.law == ROTOR
+        if is_nonnegative and term.value < -Z_THRESHOLD * term.sigma:
+            yield make_diagnostic(
                 "bodies.negative",
                 term.name,
                 term.value,

@@ -1,4 +1,4 @@
-"""What consistent bodies leave of data that they have not seen, beside what others leave."""
+"""Prediction errors of consistent bodies on held-out data, added to posteriors."""
 
 from __future__ import annotations
 
@@ -9,91 +9,113 @@ import numpy as np
 
 from testbed.bodies.consistency.consistent import Consistent, consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.linear_prior import WIDE, linear_prior, refitted, with_prior
+from testbed.bodies.linear_prior import (
+    UNINFORMATIVE_FACTOR,
+    file_with_fitted_terms,
+    fit_with_prior,
+    linear_prior,
+)
 from testbed.bodies.posterior import Posterior, held_out_errors
 from testbed.bodies.prediction_errors import CONSISTENT, REFITTED
-from testbed.bodies.prior import Prior
+from testbed.bodies.prior import PriorBodies
 from testbed.bodies.row_products import RowParts, RowProducts
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
-from testbed.core.estimation.estimate import Estimate, Method
+from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
+from testbed.core.parameters.rules import Signal
 
 
-def with_likely_error(
+def with_estimated_prior_error(
     options: ConsistencyOptions, posteriors: Iterable[Posterior]
 ) -> ConsistencyOptions:
-    """Conditions with the least error of the model file that its posteriors have.
+    """Options with the smallest prior error of the posteriors that need a prior.
+
+    The options are unchanged if no posterior needs a prior (`Posterior.used`).
 
     Args:
-        options: What is asked.
-        posteriors: Of one recording.
+        options: Options of consistent bodies.
+        posteriors: Posteriors from one recording.
     """
     errors = [each.prior_error for each in posteriors if each.used]
     return replace(options, prior_error=min(errors, default=options.prior_error))
 
 
-def beside_consistent(
-    posteriors: Mapping[Method, Posterior],
+def with_consistent_predictions(
+    posteriors: Mapping[Signal, Posterior],
     bodies: Consistent,
-    rows: Mapping[Method, RowParts],
-    prior: Prior,
-    estimates: Mapping[Method, Estimate],
+    rows: Mapping[Signal, RowParts],
+    prior: PriorBodies,
+    estimates: Mapping[Signal, Estimate],
     options: ConsistencyOptions,
-) -> dict[Method, Posterior]:
-    """Posteriors with consistent bodies beside them: of the recording, and of held-out parts.
+) -> dict[Signal, Posterior]:
+    """Add the values and held-out prediction errors of consistent bodies to posteriors.
 
-    Bodies of the parts are those of the one method.
+    For each held-out part, the consistent bodies are computed from the training data of one method
+    only; if that fails, the values of the model file are used.
 
     Args:
-        posteriors: By method.
-        bodies: Of the whole recording.
-        rows: Of the recording, by method.
-        prior: The bodies of the model file.
-        estimates: By least squares; a method without one stays as it is.
-        options: What was asked of the bodies.
+        posteriors: Posteriors, keyed by method.
+        bodies: Consistent bodies from the whole recording.
+        rows: Gram matrices of the recording's rows, keyed by method.
+        prior: Bodies of the model file.
+        estimates: Least-squares estimates, keyed by method; a posterior without an estimate is
+            unchanged.
+        options: Options of the consistent bodies.
     """
 
-    def beside(found: Posterior, estimate: Estimate) -> Posterior:
-        parts = rows[found.method]
+    def with_consistent(posterior_estimate: Posterior, estimate: Estimate) -> Posterior:
+        parts = rows[posterior_estimate.method]
         problem = parts.problem
-        before = linear_prior(problem, prior, parts.whole)
+        linear = linear_prior(problem, prior, parts.total)
 
-        def of_rows(some: RowProducts) -> Array:
-            values, covariance = with_prior(some, before.times(WIDE))
-            own = replace(estimate, values=values, covariance=covariance)
+        def consistent_values(training: RowProducts) -> Array:
+            values, covariance = fit_with_prior(
+                training, linear.with_error_factor(UNINFORMATIVE_FACTOR)
+            )
+            training_estimate = replace(estimate, values=values, covariance=covariance)
             try:
-                return unknowns_of(
-                    consistent(problem.tree, [own], prior, options), problem
+                return consistent_unknowns(
+                    consistent(problem.tree, [training_estimate], prior, options),
+                    problem,
                 )
-            except TestbedError:  # too few rows: those of the file
-                return found.file
+            except TestbedError:  # too few rows: values of the model file
+                return posterior_estimate.file
 
-        fits = {REFITTED: lambda some: refitted(some, before), CONSISTENT: of_rows}
-        pairs = zip(held_out_errors(parts, fits), found.errors, strict=True)
+        fits = {
+            REFITTED: lambda training: file_with_fitted_terms(training, linear),
+            CONSISTENT: consistent_values,
+        }
+        pairs = zip(
+            held_out_errors(parts, fits), posterior_estimate.errors, strict=True
+        )
         return replace(
-            found,
-            consistent=unknowns_of(bodies, problem),
-            errors=tuple(known.beside(own) for own, known in pairs),
+            posterior_estimate,
+            consistent=consistent_unknowns(bodies, problem),
+            errors=tuple(
+                rival_errors.merged_with(error) for error, rival_errors in pairs
+            ),
         )
 
     return {
-        method: beside(found, estimates[method]) if method in estimates else found
-        for method, found in posteriors.items()
+        method: with_consistent(posterior_estimate, estimates[method])
+        if method in estimates
+        else posterior_estimate
+        for method, posterior_estimate in posteriors.items()
     }
 
 
-def unknowns_of(bodies: Consistent, problem: Problem) -> Array:
-    """Consistent bodies and their joints' terms as unknowns of a problem, (p,).
+def consistent_unknowns(bodies: Consistent, problem: Problem) -> Array:
+    """Values of a problem's unknowns for given consistent bodies and joint terms, (p,).
 
     Args:
-        bodies: Of its robot.
-        problem: By either method.
+        bodies: Consistent bodies of the problem's robot.
+        problem: Problem of either method.
     """
     count, drives = problem.minimal.count, problem.drives
-    found = np.zeros(len(problem.names))
-    found[:count] = problem.minimal.standard_matrix @ bodies.standard.ravel()
+    unknowns = np.zeros(len(problem.names))
+    unknowns[:count] = problem.minimal.standard_matrix @ bodies.standard.ravel()
     if drives is not None:
         values = dict(zip(bodies.terms, bodies.coefficients.tolist(), strict=True))
-        found += drives.columns @ np.array([values[term] for term in drives.asked])
-    return found
+        unknowns += drives.columns @ np.array([values[term] for term in drives.asked])
+    return unknowns

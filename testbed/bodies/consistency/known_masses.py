@@ -1,4 +1,4 @@
-"""Masses that are known of single bodies and of all together."""
+"""Known masses of single bodies and of all bodies together, as linear constraints."""
 
 from __future__ import annotations
 
@@ -6,80 +6,103 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.bodies.consistency.options import MASS, ConsistencyOptions
-from testbed.bodies.prior import Prior
+from testbed.bodies.consistency.options import TOTAL_MASS, ConsistencyOptions
+from testbed.bodies.prior import PriorBodies
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.robot.tree import Tree
 
-ROUNDING = 1e-9
-"""Part of the total by which known masses of all bodies may miss it."""
+TOTAL_TOLERANCE = 1e-9
+"""Relative tolerance between the known total and the sum of the bodies' known masses."""
 
 
 @dataclass(frozen=True, eq=False)
 class KnownMasses:
-    """Masses of sums of bodies.
+    """Known total masses of groups of bodies.
 
     Attributes:
-        rows: Whether each body belongs to a sum, (k, n).
-        values: [kg], (k,).
-        sigma: [kg], 0 where a mass holds exactly, (k,).
-        scale: Factors on the prior's bodies that obey what holds exactly, (n,).
+        rows: 1 for the bodies in each of the k groups, else 0, (k, n).
+        values: Total masses of the groups, (k,) [kg].
+        sigma: Standard deviations of the masses, (k,) [kg]; 0 for exact masses.
+        prior_factors: Factors on the prior bodies that give the exactly known masses, (n,).
     """
 
     rows: Array
     values: Array
     sigma: Array
-    scale: Array
+    prior_factors: Array
 
 
-def known_masses(tree: Tree, prior: Prior, options: ConsistencyOptions) -> KnownMasses:
-    """Masses that are known, body by body.
+def known_masses(
+    tree: Tree, prior: PriorBodies, options: ConsistencyOptions
+) -> KnownMasses:
+    """Known masses of the options as linear constraints on the bodies' masses.
 
     Args:
-        tree: The robot.
-        prior: Which bodies have matter.
-        options: What is known.
+        tree: Robot.
+        prior: Prior bodies.
+        options: Options with the known masses.
 
     Raises:
-        UnknownName: There is no such link.
-        SettingsError: A link that has no matter is to have a mass; or parts contradict the total.
+        UnknownName: A link does not exist.
+        SettingsError: A link that is massless in the model file has a known mass, or exact masses
+            contradict the total.
     """
     links = [joint.body for joint in tree.joints]
     massive = prior.standard[:, 0] > 0
     rows = np.zeros((len(options.masses), tree.n))
     for row, (name, (mass, _)) in zip(rows, options.masses.items(), strict=True):
-        link = name.removeprefix(f"{MASS}/")
-        if name != MASS and link not in links:
+        link = name.removeprefix(f"{TOTAL_MASS}/")
+        if name != TOTAL_MASS and link not in links:
             raise UnknownName("link of a known mass", link, links)
-        row[:] = massive if name == MASS else np.eye(tree.n)[links.index(link)]
+        row[:] = massive if name == TOTAL_MASS else np.eye(tree.n)[links.index(link)]
         if row @ ~massive:
             raise SettingsError(
                 f"known.{name} = {mass:g} kg: it has no matter in the model file"
             )
     values, sigma = np.array([*options.masses.values()]).reshape(-1, 2).T
-    return KnownMasses(rows, values, sigma, _scale(prior, options, rows, values, sigma))
+    return KnownMasses(
+        rows, values, sigma, _prior_factors(prior, options, rows, values, sigma)
+    )
 
 
-def _scale(
-    prior: Prior, options: ConsistencyOptions, rows: Array, values: Array, sigma: Array
+def _prior_factors(
+    prior: PriorBodies,
+    options: ConsistencyOptions,
+    rows: Array,
+    values: Array,
+    sigma: Array,
 ) -> Array:
-    """Factors by which the prior's masses meet those that are known exactly, (n,)."""
-    total = np.array([name == MASS for name in options.masses], dtype=bool)
+    """Factors on the prior bodies that give the exactly known masses, (n,).
+
+    If the total mass is known exactly, the bodies without exactly known masses share the remaining
+    mass in proportion to their prior masses.
+
+    Args:
+        prior: Prior bodies.
+        options: Options with the known masses.
+        rows: 1 for the bodies in each of the k groups with a known mass, else 0, (k, n).
+        values: Known masses, (k,) [kg].
+        sigma: Standard deviations of the masses, (k,) [kg].
+
+    Raises:
+        SettingsError: The exact masses contradict the exact total.
+    """
+    is_total = np.array([name == TOTAL_MASS for name in options.masses], dtype=bool)
     masses = np.array(prior.standard[:, 0])
-    open_bodies = masses > 0
+    is_open = masses > 0
     for row, value in zip(
-        rows[~total & (sigma == 0)], values[~total & (sigma == 0)], strict=True
+        rows[~is_total & (sigma == 0)], values[~is_total & (sigma == 0)], strict=True
     ):
         masses = np.where(row > 0, value, masses)
-        open_bodies &= row == 0
-    for value in values[total & (sigma == 0)]:
-        rest = value - masses[~open_bodies].sum()
-        if open_bodies.any() and rest > 0:
-            masses[open_bodies] *= rest / masses[open_bodies].sum()
-        elif open_bodies.any() or abs(rest) > ROUNDING * value:
+        is_open &= row == 0
+    for value in values[is_total & (sigma == 0)]:
+        remaining_mass = value - masses[~is_open].sum()
+        if is_open.any() and remaining_mass > 0:
+            masses[is_open] *= remaining_mass / masses[is_open].sum()
+        elif is_open.any() or abs(remaining_mass) > TOTAL_TOLERANCE * value:
             raise SettingsError(
                 f"no bodies obey all that is asked: {', '.join(options.masses)} contradict each "
-                f"other: {value - rest:g} kg are known of {value:g} kg"
+                f"other: {value - remaining_mass:g} kg are known of {value:g} kg"
             )
     return masses / np.where(prior.standard[:, 0] > 0, prior.standard[:, 0], 1.0)

@@ -1,7 +1,7 @@
-"""What estimates say of standard parameters: rows of which noise has a sigma of one.
+"""Gaussian likelihoods of standard parameters from estimates: whitened linear equations.
 
-Minimal parameters are linear in the standard ones and in the joints' own terms. What was taken
-to be zero for an estimate is a statement as well, as far as the measured forces identify it.
+Minimal parameters are linear in the standard parameters and in the joint terms. Parameters that an
+estimate assumes to be zero give equations as well, as far as the measured forces identify them.
 """
 
 from __future__ import annotations
@@ -13,160 +13,222 @@ import numpy as np
 from scipy.linalg import null_space
 
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.drive_set import drive_set
-from testbed.core.estimation.diagnostics.rigid_bodies import SMALL
-from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.dynamics.drive_set import make_drive_set
+from testbed.core.estimation.diagnostics.rigid_bodies import MIN_RELATIVE_MAGNITUDE
+from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import (
-    inverse_root,
+    inverse_square_root,
     unit_diagonal,
 )
 from testbed.core.parameters.minimal_set import minimal_set, selection
-from testbed.core.parameters.symbols import on_standard, parameter_scale
+from testbed.core.parameters.rules import SIGNALS
+from testbed.core.parameters.symbols import forms_on_standard, parameter_scale
 from testbed.core.robot.friction import JointTerm
 from testbed.core.robot.tree import Tree
 
-FINEST = 1e-7
-"""Sigmas below this part of a parameter are rounding: they are taken to be that large."""
+MIN_RELATIVE_SIGMA = 1e-7
+"""Smallest relative standard deviation of a parameter; smaller values are rounding."""
 
 
-UNKNOWN = 10.0
-"""Sigmas, in parts of themselves, of parameters that are not identifiable."""
+UNIDENTIFIABLE_SIGMA = 10.0
+"""Relative standard deviation of parameters that are not identifiable."""
 
-ROUNDING = 1e-14
-"""Part of the greatest eigenvalue of a covariance below zero that is no sign of a wrong one."""
+EIGENVALUE_TOLERANCE = 1e-14
+"""Largest ratio of a negative eigenvalue of a covariance to the greatest that is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """What one estimate says of x: standard parameters body by body, then the joints' terms.
+    """Gaussian likelihood of x from one estimate.
+
+    The vector x consists of the standard parameters, then the joint terms.
 
     Attributes:
-        estimate: The estimate.
-        rows: Its parameters as forms of x, (p, m).
-        white: What makes errors of its parameters numbers of sigma one, (p, p).
-        zero: Forms of x that were taken to be zero, (k, m).
-        widened: By how much its sigmas were widened, because another estimate contradicts it.
+        estimate: Estimate.
+        rows: Matrix from the m entries of x to the p parameters of the estimate, (p, m).
+        whitening: Whitening matrix of the estimate's errors, (p, p).
+        zero_rows: Matrix from x to the k linear combinations that the estimate assumes to be zero,
+            (k, m).
+        sigma_factor: Factor on the estimate's sigmas that accounts for a contradiction with another
+            estimate.
     """
 
     estimate: Estimate
     rows: Array
-    white: Array
-    zero: Array
-    widened: float = 1.0
+    whitening: Array
+    zero_rows: Array
+    sigma_factor: float = 1.0
 
-    def left(self, x: Array) -> Array:
-        """How far the estimate is from what x says, in independent sigmas, (p,)."""
-        return self.white @ (self.rows @ x - self.estimate.values)
+    def whitened_residuals(self, x: Array) -> Array:
+        """Whitened residuals of the estimate for given parameters, (p,).
+
+        Args:
+            x: Standard parameters and joint terms, (m,).
+        """
+        return self.whitening @ (self.rows @ x - self.estimate.values)
 
 
-def precise(estimate: Estimate) -> bool:
-    """Whether an estimate's covariance is one, and not of rounding.
+def has_valid_covariance(estimate: Estimate) -> bool:
+    """Test whether an estimate's covariance is positive semidefinite up to rounding.
 
-    With hardly more rows than unknowns the noise that is left says nothing, and variances of some
-    combinations come out as nothing or less.
+    With hardly more rows than unknowns the noise cannot be estimated, and variances of some
+    combinations become zero or negative.
 
     Args:
-        estimate: Of either method.
+        estimate: Estimate of either method.
     """
     variance = np.diagonal(estimate.covariance)
     if (variance < 0).any():
         return False
     size = np.linalg.eigvalsh(unit_diagonal(estimate.covariance)[0])
-    return bool(size[0] >= -ROUNDING * size[-1])
+    return bool(size[0] >= -EIGENVALUE_TOLERANCE * size[-1])
 
 
-def terms_of(estimates: Sequence[Estimate]) -> tuple[JointTerm, ...]:
-    """Terms of the joints' torque that estimates know of.
+def joint_terms_of(estimates: Sequence[Estimate]) -> tuple[JointTerm, ...]:
+    """Joint torque terms of several estimates, without duplicates.
 
     Args:
-        estimates: Of one robot.
+        estimates: Estimates of one robot.
     """
     asked = (t for e in estimates if e.drives is not None for t in e.drives.asked)
     return tuple(dict.fromkeys(asked))
 
 
-def evidence(
+def likelihood_of(
     tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]
 ) -> Likelihood:
-    """What an estimate says.
+    """Gaussian likelihood of standard parameters and joint terms from an estimate.
+
+    The variance of each parameter is increased by the square of 1e-7 times its magnitude, or of ten
+    times its magnitude if the parameter is not identifiable.
 
     Args:
-        tree: The robot; its inertias do not matter.
-        estimate: Of either method.
-        terms: Those that x holds.
+        tree: Robot; its inertias are not used.
+        estimate: Estimate of either method.
+        terms: Joint terms in the order of x.
     """
-    own, zero = _on_barycentric(tree, estimate)
+    parameter_rows, zero_rows = _estimate_and_zero_rows(tree, estimate)
     drives = estimate.drives
     asked = () if drives is None else drives.asked
-    place = [10 * tree.n + terms.index(term) for term in asked]
+    term_columns = [10 * tree.n + terms.index(term) for term in asked]
 
-    def on_x(rows: Array) -> Array:
-        found = np.zeros((len(rows), 10 * tree.n + len(terms)))
-        found[:, : 10 * tree.n] = on_standard(tree, rows[:, : 10 * tree.n])
-        found[:, place] = rows[:, 10 * tree.n :]
-        return found
+    def coefficients_on_x(rows: Array) -> Array:
+        coefficients = np.zeros((len(rows), 10 * tree.n + len(terms)))
+        coefficients[:, : 10 * tree.n] = forms_on_standard(tree, rows[:, : 10 * tree.n])
+        coefficients[:, term_columns] = rows[:, 10 * tree.n :]
+        return coefficients
 
-    size = parameter_scale(estimate.values, estimate.units, SMALL)
-    unknown = [name in estimate.unidentifiable for name in estimate.names]
-    finest = (np.where(unknown, UNKNOWN, FINEST) * size) ** 2
-    white = inverse_root(estimate.covariance + np.diag(finest)).T
-    return Likelihood(estimate, on_x(own), white, on_x(zero))
+    size = parameter_scale(estimate.values, estimate.units, MIN_RELATIVE_MAGNITUDE)
+    is_unidentifiable = [name in estimate.unidentifiable for name in estimate.names]
+    min_variance = (
+        np.where(is_unidentifiable, UNIDENTIFIABLE_SIGMA, MIN_RELATIVE_SIGMA) * size
+    ) ** 2
+    white = inverse_square_root(estimate.covariance + np.diag(min_variance)).T
+    return Likelihood(
+        estimate, coefficients_on_x(parameter_rows), white, coefficients_on_x(zero_rows)
+    )
 
 
-def agreeing(likelihoods: Sequence[Likelihood]) -> list[Likelihood]:
-    """The same, sigmas of joint torques widened where the plate contradicts them.
+def with_widened_torques(likelihoods: Sequence[Likelihood]) -> list[Likelihood]:
+    """Likelihoods with the sigmas of joint torques widened for contradictions with the plate.
 
-    Torque constants and friction of other laws bias the bodies that torques identify, and their
-    sigmas do not know it: the plate's estimate judges them.
+    Errors of torque constants and of the friction law bias the bodies that torques identify, but
+    the sigmas of the torque estimate do not include this bias. The sigmas are therefore multiplied
+    by the rms normalised difference of the parameters that both methods determine, if it exceeds
+    one. The likelihood of a single method is unchanged.
 
     Args:
-        likelihoods: By one method or by both.
+        likelihoods: Likelihoods from one method or from both methods.
     """
     by_method = {each.estimate.method: each for each in likelihoods}
-    if len(by_method) < len(METHODS):
+    if len(by_method) < len(SIGNALS):
         return list(likelihoods)
-    torques = by_method["internal"]
-    factor = _contradiction(by_method["external"].estimate, torques.estimate)
-    widened = replace(torques, white=torques.white / factor, widened=factor)
-    return [widened if each is torques else each for each in likelihoods]
+    torque_likelihood = by_method["torque"]
+    inflation = _rms_difference(
+        by_method["wrench"].estimate, torque_likelihood.estimate
+    )
+    widened = replace(
+        torque_likelihood,
+        whitening=torque_likelihood.whitening / inflation,
+        sigma_factor=inflation,
+    )
+    return [widened if each is torque_likelihood else each for each in likelihoods]
 
 
-def _contradiction(plate: Estimate, torques: Estimate) -> float:
-    """Rms difference of what both determine, in sigmas; at least one."""
+def _rms_difference(plate: Estimate, torques: Estimate) -> float:
+    """Rms normalised difference of parameters that both methods determine; at least one.
+
+    Parameters that contain a rotor inertia are left out. The result is one if the plate does not
+    determine the parameters of the torques, because the known zeros differ or the tare is unknown.
+
+    Args:
+        plate: Estimate from the force plate.
+        torques: Estimate from joint torques.
+    """
     try:
-        likelihoods = selection(torques.minimal, plate.minimal)
+        torque_selection = selection(torques.minimal, plate.minimal)
     except ValueError:  # other zeros, or a plate that measures changes only
         return 1.0
-    own = torques.base
-    apart = likelihoods @ plate.base.values - own.values
-    spread = likelihoods @ plate.base.covariance @ likelihoods.T + own.covariance
-    spread += np.diag((FINEST * parameter_scale(own.values, own.units, SMALL)) ** 2)
-    rotors = () if torques.drives is None else torques.drives.regrouped.values()
-    alone = np.array(
-        [not any(column[k] for column in rotors) for k in range(len(apart))]
+    torque_parameters = torques.base
+    difference = torque_selection @ plate.base.values - torque_parameters.values
+    covariance = (
+        torque_selection @ plate.base.covariance @ torque_selection.T
+        + torque_parameters.covariance
     )
-    white = inverse_root(spread[np.ix_(alone, alone)]).T @ apart[alone]
-    return max(1.0, float(np.sqrt(np.mean(white**2)))) if alone.any() else 1.0
+    covariance += np.diag(
+        (
+            MIN_RELATIVE_SIGMA
+            * parameter_scale(
+                torque_parameters.values,
+                torque_parameters.units,
+                MIN_RELATIVE_MAGNITUDE,
+            )
+        )
+        ** 2
+    )
+    rotor_columns = () if torques.drives is None else torques.drives.regrouped.values()
+    is_without_rotor = np.array(
+        [not any(column[k] for column in rotor_columns) for k in range(len(difference))]
+    )
+    white = (
+        inverse_square_root(covariance[np.ix_(is_without_rotor, is_without_rotor)]).T
+        @ difference[is_without_rotor]
+    )
+    return (
+        max(1.0, float(np.sqrt(np.mean(white**2)))) if is_without_rotor.any() else 1.0
+    )
 
 
-def _on_barycentric(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
-    """An estimate's parameters, and what it takes to be zero, on barycentric ones and terms.
+def _estimate_and_zero_rows(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
+    """Coefficients of estimated and assumed-zero parameters in the barycentric parameters.
 
-    With known zeros, minimal parameters stand for fewer barycentric ones than forces identify. What
-    forces identify without them is a multiple of those, and across that nothing.
+    With known zeros, the minimal parameters are combinations of fewer barycentric parameters than
+    the forces identify. The full minimal parameters are a linear map of the estimated parameters;
+    the orthogonal complement of this map gives the combinations that are assumed to be zero.
+
+    Args:
+        tree: Robot.
+        estimate: Estimate of either method.
+
+    Returns:
+        Coefficients of the p estimated parameters, (p, 10 n + terms), and of the k combinations
+        that are assumed to be zero, (k, 10 n + terms), in the 10 n barycentric parameters and the
+        joint terms; k is 0 without known zeros.
     """
     minimal, drives = estimate.minimal, estimate.drives
-    own = minimal.matrix if drives is None else drives.matrix
+    estimate_rows = minimal.matrix if drives is None else drives.matrix
     if not minimal.known_zero.any():
-        return own, np.zeros((0, own.shape[1]))
-    whole = minimal_set(tree, minimal.model, minimal.gravity, tared=minimal.tared)
-    likelihoods = whole.matrix
+        return estimate_rows, np.zeros((0, estimate_rows.shape[1]))
+    full_set = minimal_set(tree, minimal.model, minimal.gravity, tared=minimal.tared)
+    full_rows = full_set.matrix
     if drives is not None:
         laws = tuple(dict.fromkeys(term.law for term in drives.asked))
-        likelihoods = drive_set(tree, whole, laws).matrix
-    size = np.linalg.norm(likelihoods, axis=1, keepdims=True)
-    likelihoods = likelihoods / size
-    kept = np.array(likelihoods)
-    kept[:, : minimal.known_zero.size][:, minimal.known_zero.ravel()] = 0.0
-    link = kept @ np.linalg.pinv(own)
-    return np.linalg.pinv(link) @ likelihoods, null_space(link.T).T @ likelihoods
+        full_rows = make_drive_set(tree, full_set, laws).matrix
+    size = np.linalg.norm(full_rows, axis=1, keepdims=True)
+    full_rows = full_rows / size
+    nonzero_rows = np.array(full_rows)
+    nonzero_rows[:, : minimal.known_zero.size][:, minimal.known_zero.ravel()] = 0.0
+    map_to_full = nonzero_rows @ np.linalg.pinv(estimate_rows)
+    return np.linalg.pinv(map_to_full) @ full_rows, null_space(
+        map_to_full.T
+    ).T @ full_rows

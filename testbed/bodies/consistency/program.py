@@ -1,4 +1,4 @@
-"""The program of physically consistent bodies, and Newton's method for those near a prior's."""
+"""Nonlinear program of physically consistent bodies, and an interior-point Newton method."""
 
 from __future__ import annotations
 
@@ -13,232 +13,324 @@ from scipy.linalg import null_space
 
 from testbed.bodies.consistency.known_masses import KnownMasses
 from testbed.bodies.consistency.likelihood import Likelihood
-from testbed.bodies.prior import Prior
+from testbed.bodies.prior import PriorBodies
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.estimation.regression.normal_equations import SMALLEST_POSITIVE
 from testbed.core.parameters.pseudo_inertia import (
-    OF_COORDINATES,
-    coordinates,
-    matrices,
-    of_coordinates,
+    COORDINATE_BASIS,
+    matrices_from_coordinates,
+    pseudo_inertia_coordinates,
+    pseudo_inertias,
 )
 from testbed.core.robot.friction import ROTOR, JointTerm
 from testbed.core.robot.tree import Tree
 
-DONE = 1e-12
-"""Newton's decrement, squared, of the last step."""
+FINAL_TOLERANCE = 1e-12
+"""Squared Newton decrement at which the last stage ends."""
 
-ROUGH = 0.05
-"""The same of steps on the way, in parts of the weight."""
+STAGE_TOLERANCE_RATIO = 0.05
+"""Squared Newton decrement at which other stages end, relative to the barrier's weight."""
 
-STEPS = 100
-"""Most steps with one weight; a dozen is much."""
+MAX_STEPS = 100
+"""Largest number of Newton steps in a stage; usually fewer than twelve."""
 
-FALL = 10.0
-"""By which weights fall."""
+WEIGHT_RATIO = 10.0
+"""Factor between the weights of consecutive stages."""
 
-FADED = 1e-9
-"""The last weight of the barriers."""
+MIN_BARRIER = 1e-9
+"""Weight of the logarithmic barriers in the last stage."""
 
-ZERO = 1e-4
-"""Sigma of what was taken to be zero, in parts of the prior's bodies."""
+ZERO_SIGMA = 1e-4
+"""Standard deviation of combinations assumed to be zero, relative to the prior's bodies."""
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram:
-    """What is to be minimised, in scaled unknowns z: x = lead z.
+    """Nonlinear program in scaled unknowns z for consistent bodies.
 
-    |rows z - right|^2 / 2 + w D(Y) + w |z - 1|^2 / 2 of the joints' terms that the file states,
-    with D(Y) = tr Y - log det Y - 4 of every body, under the conditions.
+    The m unknowns z are ten coordinates of a matrix Y for each body with mass, then the t joint
+    terms divided by their scales. The pseudo-inertia of a body is J = U Y U', where U U' is the
+    pseudo-inertia in the file; x = x_from_z z. The objective is |rows z - right_hand_side|^2 / 2 +
+    w D(Y) + w |z - 1|^2 / 2 with the weight w of the prior. D(Y) is the sum of tr Y - log det Y - 4
+    over the bodies; the last norm includes only the joint terms in the model file. The constraints
+    are positive definite Y, non-negative joint terms, and exact linear constraints.
 
     Attributes:
-        prior: What the bodies are compared with.
-        lead: Of x, standard parameters and terms, (10 n + t, m).
-        rows: What is known, noise of sigma one: first by the data, then besides, (k, m).
-        right: What they are, (k,).
-        measured: How many of the rows are of data.
-        own: Whether the file states each term, (t,): it is then drawn to it.
-        positive: Places in z of terms that cannot be negative.
-        exact: Rows on z whose values hold exactly, (e, m).
-        start: z that obeys them, (m,).
+        prior: Prior bodies.
+        x_from_z: Matrix from z to standard parameters and joint terms x, (10 n + t, m).
+        rows: Coefficients of the k whitened equations: those of the data, then those of known
+            masses and assumed zeros, (k, m).
+        right_hand_side: Right-hand side of the equations, (k,).
+        data_row_count: Number of equations of the data.
+        has_prior: 1 for joint terms in the model file, which have a prior, else 0, (t,).
+        nonnegative_indices: Indices in z of joint terms that cannot be negative.
+        constraint_rows: Rows of the e exact linear constraints on z, (e, m).
+        start: Starting point z that satisfies the exact constraints, (m,).
     """
 
-    prior: Prior
-    lead: Array
+    prior: PriorBodies
+    x_from_z: Array
     rows: Array
-    right: Array
-    measured: int
-    own: Array
-    positive: NDArray[np.int64]
-    exact: Array
+    right_hand_side: Array
+    data_row_count: int
+    has_prior: Array
+    nonnegative_indices: NDArray[np.int64]
+    constraint_rows: Array
     start: Array
 
     @property
-    def bodies(self) -> int:
-        """Number of bodies with matter."""
-        return len(self.prior.massive)
+    def body_count(self) -> int:
+        """Number of bodies with mass."""
+        return len(self.prior.massive_bodies)
 
     @cached_property
-    def free(self) -> Array:
-        """N, (m, k): what exact conditions leave free."""
-        return null_space(self.exact) if len(self.exact) else np.eye(len(self.start))
+    def null_space_basis(self) -> Array:
+        """Null-space basis of the exact constraints, (m, k)."""
+        return (
+            null_space(self.constraint_rows)
+            if len(self.constraint_rows)
+            else np.eye(len(self.start))
+        )
 
     @cached_property
-    def square(self) -> Array:
-        """Products of the rows, (m, m)."""
+    def normal_matrix(self) -> Array:
+        """Normal matrix of the equations, rows' rows, (m, m)."""
         return self.rows.T @ self.rows
 
     def matrices(self, z: Array) -> Array:
-        """Y of every body with matter, (bodies, 4, 4), at unknowns z."""
-        return of_coordinates(z[: 10 * self.bodies].reshape(-1, 10))
-
-    def prior_hessian(self, z: Array) -> Array:
-        """Of divergence and penalties at z with a weight of one, (m, m).
+        """Matrix Y of each body with mass, (bodies, 4, 4).
 
         Args:
-            z: Inside, (m,).
+            z: Unknowns, (m,).
+        """
+        return matrices_from_coordinates(z[: 10 * self.body_count].reshape(-1, 10))
+
+    def prior_hessian(self, z: Array) -> Array:
+        """Hessian of the prior's divergence and penalties at unit weight, (m, m).
+
+        Args:
+            z: Unknowns in the interior of the constraints, (m,).
         """
         inverse = np.linalg.inv(self.matrices(z))
-        turned = np.einsum("nab,kbc,ncd->nkad", inverse, OF_COORDINATES, inverse)
-        return np.asarray(linalg.block_diag(*coordinates(turned), np.diag(self.own)))
+        products = np.einsum("nab,kbc,ncd->nkad", inverse, COORDINATE_BASIS, inverse)
+        return np.asarray(
+            linalg.block_diag(
+                *pseudo_inertia_coordinates(products), np.diag(self.has_prior)
+            )
+        )
 
     def step(self, z: Array, weight: float, barrier: float) -> tuple[Array, float]:
-        """Newton's step, (m,), and its decrement squared."""
-        inner, across = self._derivatives(z, weight, barrier)
-        size = 1 / np.sqrt(np.maximum(np.diagonal(inner), TINY))
+        """Newton step within the exact constraints, (m,), and the squared Newton decrement.
+
+        Args:
+            z: Unknowns in the interior of the inequality constraints, (m,).
+            weight: Weight w of the prior.
+            barrier: Weight of the logarithmic barriers.
+        """
+        hessian, gradient = self._derivatives(z, weight, barrier)
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(hessian), SMALLEST_POSITIVE))
         factor = linalg.cho_factor(
-            inner * np.outer(size, size) + 1e-15 * np.eye(len(size))
+            hessian * np.outer(scale, scale) + 1e-15 * np.eye(len(scale))
         )
-        move = -size * linalg.cho_solve(factor, size * across)
-        return self.free @ move, float(-across @ move)
+        step = -scale * linalg.cho_solve(factor, scale * gradient)
+        return self.null_space_basis @ step, float(-gradient @ step)
 
     def _derivatives(
         self, z: Array, weight: float, barrier: float
     ) -> tuple[Array, Array]:
-        """Second and first derivatives along what is free, (k, k) and (k,)."""
-        at, rest = self.positive, 10 * self.bodies
-        gap = coordinates(np.eye(4) - np.linalg.inv(self.matrices(z)))
-        away = np.concatenate([gap.ravel(), self.own * (z[rest:] - 1)])
-        slope = self.rows.T @ (self.rows @ z - self.right) + weight * away
-        slope[at] -= barrier / z[at]
-        hessian = self.square + weight * self.prior_hessian(z)
-        hessian[at, at] += barrier / z[at] ** 2
-        return self.free.T @ hessian @ self.free, self.free.T @ slope
+        """Hessian, (k, k), and gradient, (k,), in the null space of the exact constraints.
+
+        Args:
+            z: Unknowns, (m,).
+            weight: Weight of the prior.
+            barrier: Weight of the logarithmic barriers.
+        """
+        positive, first_term = self.nonnegative_indices, 10 * self.body_count
+        divergence_gradient = pseudo_inertia_coordinates(
+            np.eye(4) - np.linalg.inv(self.matrices(z))
+        )
+        prior_gradient = np.concatenate(
+            [divergence_gradient.ravel(), self.has_prior * (z[first_term:] - 1)]
+        )
+        gradient = (
+            self.rows.T @ (self.rows @ z - self.right_hand_side)
+            + weight * prior_gradient
+        )
+        gradient[positive] -= barrier / z[positive]
+        hessian = self.normal_matrix + weight * self.prior_hessian(z)
+        hessian[positive, positive] += barrier / z[positive] ** 2
+        return (
+            self.null_space_basis.T @ hessian @ self.null_space_basis,
+            self.null_space_basis.T @ gradient,
+        )
 
     def _value(self, z: Array, weight: float, barrier: float) -> float:
-        """Infinite where z is not inside."""
-        slack = z[self.positive]
+        """Objective with barriers; infinite outside of the constraints.
+
+        A point is outside if a Y is not positive definite, or if a non-negative joint term is zero
+        or less.
+
+        Args:
+            z: Unknowns, (m,).
+            weight: Weight of the prior.
+            barrier: Weight of the logarithmic barriers.
+        """
+        slack = z[self.nonnegative_indices]
         if (slack <= 0).any():
             return np.inf
-        own, rest = self.matrices(z), 10 * self.bodies
+        matrices, first_term = self.matrices(z), 10 * self.body_count
         try:
-            roots = np.linalg.cholesky(own)
+            roots = np.linalg.cholesky(matrices)
         except np.linalg.LinAlgError:
             return np.inf
-        away = np.einsum("nkk->", own) - 2 * np.log(np.einsum("nkk->nk", roots)).sum()
-        away += (self.own * (z[rest:] - 1) ** 2).sum() / 2
-        fit = ((self.rows @ z - self.right) ** 2).sum() / 2
-        return float(fit + weight * away - barrier * np.log(slack).sum())
+        divergence = (
+            np.einsum("nkk->", matrices) - 2 * np.log(np.einsum("nkk->nk", roots)).sum()
+        )
+        divergence += (self.has_prior * (z[first_term:] - 1) ** 2).sum() / 2
+        fit = ((self.rows @ z - self.right_hand_side) ** 2).sum() / 2
+        return float(fit + weight * divergence - barrier * np.log(slack).sum())
 
-    def along(
-        self, z: Array, move: Array, gain: float, weight: float, barrier: float
+    def line_search(
+        self, z: Array, step: Array, gain: float, weight: float, barrier: float
     ) -> Array | None:
-        """The point a line search finds; None where no step gains any more."""
-        here, length = self._value(z, weight, barrier), 1.0
+        """Point of a backtracking line search, (m,); None if no step length reduces the objective.
+
+        The step length is halved, from 1 to 1e-10, until the objective falls by at least 0.01 times
+        the product of step length and `gain`.
+
+        Args:
+            z: Unknowns, (m,).
+            step: Newton step, (m,).
+            gain: Squared Newton decrement.
+            weight: Weight of the prior.
+            barrier: Weight of the logarithmic barriers.
+        """
+        value, length = self._value(z, weight, barrier), 1.0
         while length > 1e-10:
-            there = z + length * move
-            if self._value(there, weight, barrier) <= here - 0.01 * length * gain:
-                return there
+            point = z + length * step
+            if self._value(point, weight, barrier) <= value - 0.01 * length * gain:
+                return point
             length /= 2
         return None
 
 
-def solve(program: NonlinearProgram, weight: float) -> tuple[Array, float]:
-    """Where the program is least, (m,), and how many sigmas are left to be gained there.
+def solve_program(program: NonlinearProgram, weight: float) -> tuple[Array, float]:
+    """Minimiser of the program, (m,), and Newton decrement at the minimiser [sigma].
 
-    Data alone would throw the bodies at once to the edge of what can be, along which Newton's
-    steps are short. So the prior has a large weight first, which then falls to its own.
+    Newton steps are short near singular bodies, and a fit of the data alone would soon reach
+    singular bodies. The weight of the prior therefore starts large and falls to its final value;
+    then the weight of the barriers falls.
 
     Args:
-        program: What is to be minimised.
-        weight: Of the prior.
+        program: Program of consistent bodies.
+        weight: Final weight of the prior, 1 / prior_error^2.
     """
-    z, gain = program.start, np.inf
-    for stage, barrier in _stages(program, z, weight):
-        last = stage == weight and barrier == FADED
-        enough = DONE if last else ROUGH * max(barrier, FADED)
-        for _ in range(STEPS):
-            move, gain = program.step(z, stage, barrier)
-            if gain <= enough:
+    z, squared_decrement = program.start, np.inf
+    for stage_weight, barrier in _stages(program, z, weight):
+        is_last = stage_weight == weight and barrier == MIN_BARRIER
+        tolerance = (
+            FINAL_TOLERANCE
+            if is_last
+            else STAGE_TOLERANCE_RATIO * max(barrier, MIN_BARRIER)
+        )
+        for _ in range(MAX_STEPS):
+            step, squared_decrement = program.step(z, stage_weight, barrier)
+            if squared_decrement <= tolerance:
                 break
-            there = program.along(z, move, gain, stage, barrier)
-            if there is None:  # rounding is all that is left
+            point = program.line_search(
+                z, step, squared_decrement, stage_weight, barrier
+            )
+            if point is None:  # rounding is all that is left
                 break
-            z = there
-    return z, float(np.sqrt(max(gain, 0.0)))
+            z = point
+    return z, float(np.sqrt(max(squared_decrement, 0.0)))
 
 
 def _stages(
-    program: NonlinearProgram, start: Array, last: float
+    program: NonlinearProgram, start: Array, final_weight: float
 ) -> Iterator[tuple[float, float]]:
-    """Weights of the prior and of the barriers, one pair after the other."""
-    weight = max(last, program.step(start, last, last)[1] / 10)
-    while weight > last:
+    """Yield the weights of the prior and of the barriers in each stage.
+
+    Both weights fall together by the factor `WEIGHT_RATIO` (10) per stage, from a tenth of the
+    squared Newton decrement at the start to the final weight of the prior. Then the weight of the
+    barriers alone falls to `MIN_BARRIER`.
+
+    Args:
+        program: Program of consistent bodies.
+        start: Starting point, (m,).
+        final_weight: Final weight of the prior.
+    """
+    weight = max(final_weight, program.step(start, final_weight, final_weight)[1] / 10)
+    while weight > final_weight:
         yield weight, weight
-        weight = max(weight / FALL, last)
-    barrier = last
-    while program.positive.size and barrier > FADED:
-        yield last, barrier
-        barrier /= FALL
-    yield last, FADED
+        weight = max(weight / WEIGHT_RATIO, final_weight)
+    barrier = final_weight
+    while program.nonnegative_indices.size and barrier > MIN_BARRIER:
+        yield final_weight, barrier
+        barrier /= WEIGHT_RATIO
+    yield final_weight, MIN_BARRIER
 
 
-def program_of(
+def nonlinear_program(
     tree: Tree,
-    prior: Prior,
+    prior: PriorBodies,
     likelihoods: Sequence[Likelihood],
     known: KnownMasses,
     terms: tuple[JointTerm, ...],
 ) -> NonlinearProgram:
-    """The problem in numbers near one.
+    """Nonlinear program in scaled unknowns from likelihoods, prior and known masses.
+
+    Exactly known masses are constraints; uncertain masses and assumed zeros are equations. The
+    scale of a joint term is its rotor inertia in the file if there is one, else a typical rotor
+    inertia, else the standard deviation that the data alone give to the term.
 
     Args:
-        tree: The robot.
-        prior: Its bodies before the data.
-        likelihoods: What estimates say.
-        known: Masses of bodies.
-        terms: Of the joints' torque, in the order of x.
+        tree: Robot.
+        prior: Prior bodies.
+        likelihoods: Likelihoods of the estimates.
+        known: Known masses.
+        terms: Joint terms in the order of x.
     """
-    measured = np.vstack([each.white @ each.rows for each in likelihoods])
-    stated = np.array([_stated(tree, prior, term) for term in terms])
-    steep = np.linalg.norm(measured[:, 10 * tree.n :], axis=0)
+    measured = np.vstack([each.whitening @ each.rows for each in likelihoods])
+    file_inertias = np.array([_file_rotor_inertia(tree, prior, term) for term in terms])
+    term_norms = np.linalg.norm(measured[:, 10 * tree.n :], axis=0)
     sizes = [
-        known or _usual(tree, prior, term) or (1 / each if each else 1.0)
-        for known, term, each in zip(stated, terms, steep, strict=True)
+        inertia
+        or _typical_rotor_inertia(tree, prior, term)
+        or (1 / norm if norm else 1.0)
+        for inertia, term, norm in zip(file_inertias, terms, term_norms, strict=True)
     ]
-    massive = prior.root[:, np.repeat(prior.standard[:, 0] > 0, 10)]
+    massive = prior.standard_from_coordinates[
+        :, np.repeat(prior.standard[:, 0] > 0, 10)
+    ]
     lead = linalg.block_diag(massive, np.diag(sizes))
     masses = known.rows @ lead[: 10 * tree.n : 10]
-    doubtful, sigma = known.sigma > 0, known.sigma[known.sigma > 0]
-    zeros = [_unit(each.zero @ lead) / ZERO for each in likelihoods]
-    right = [each.white @ each.estimate.values for each in likelihoods]
-    right += [known.values[doubtful] / sigma, np.zeros(sum(map(len, zeros)))]
-    start = np.outer(known.scale[list(prior.massive)], coordinates(np.eye(4)))
+    is_uncertain, sigma = known.sigma > 0, known.sigma[known.sigma > 0]
+    zeros = [_unit_rows(each.zero_rows @ lead) / ZERO_SIGMA for each in likelihoods]
+    right = [each.whitening @ each.estimate.values for each in likelihoods]
+    right += [known.values[is_uncertain] / sigma, np.zeros(sum(map(len, zeros)))]
+    start = np.outer(
+        known.prior_factors[list(prior.massive_bodies)],
+        pseudo_inertia_coordinates(np.eye(4)),
+    )
     return NonlinearProgram(
         prior=prior,
-        lead=lead,
-        rows=np.vstack([measured @ lead, masses[doubtful] / sigma[:, None], *zeros]),
-        right=np.concatenate(right),
-        measured=len(measured),
-        own=(stated > 0).astype(float),
-        positive=massive.shape[1] + np.flatnonzero([term.positive for term in terms]),
-        exact=_unit(masses[~doubtful]),
+        x_from_z=lead,
+        rows=np.vstack(
+            [measured @ lead, masses[is_uncertain] / sigma[:, None], *zeros]
+        ),
+        right_hand_side=np.concatenate(right),
+        data_row_count=len(measured),
+        has_prior=(file_inertias > 0).astype(float),
+        nonnegative_indices=massive.shape[1]
+        + np.flatnonzero([term.nonnegative for term in terms]),
+        constraint_rows=_unit_rows(masses[~is_uncertain]),
         start=np.concatenate([start.ravel(), np.ones(len(terms))]),
     )
 
 
-def _stated(tree: Tree, prior: Prior, term: JointTerm) -> float:
-    """Rotor inertia that the file states; 0 for other terms."""
+def _file_rotor_inertia(tree: Tree, prior: PriorBodies, term: JointTerm) -> float:
+    """Rotor inertia of a joint term in the model file [kg m^2 or kg]; 0 for other terms."""
     return (
         float(prior.rotors[term.joint])
         if term.law == ROTOR and term.joint < tree.n
@@ -246,17 +338,24 @@ def _stated(tree: Tree, prior: Prior, term: JointTerm) -> float:
     )
 
 
-def _usual(tree: Tree, prior: Prior, term: JointTerm) -> float:
-    """Size of a rotor of which the file says nothing: of the body's own inertia."""
-    if term.law != ROTOR or term.joint not in prior.massive:
+def _typical_rotor_inertia(tree: Tree, prior: PriorBodies, term: JointTerm) -> float:
+    """Scale of a rotor inertia that is missing in the file [kg m^2 or kg].
+
+    The scale is the body's moment of inertia about the joint axis, or its mass for a prismatic
+    joint; 0 for other terms and for massless bodies.
+    """
+    if term.law != ROTOR or term.joint not in prior.massive_bodies:
         return 0.0
-    axis, body = tree.joints[term.joint].axis, matrices(prior.standard[term.joint])
-    second = body[:3, :3]
-    turning = float(np.trace(second) - axis @ second @ axis)
-    return turning if tree.joints[term.joint].revolute else float(body[3, 3])
+    axis, body = (
+        tree.joints[term.joint].axis,
+        pseudo_inertias(prior.standard[term.joint]),
+    )
+    second_moments = body[:3, :3]
+    inertia = float(np.trace(second_moments) - axis @ second_moments @ axis)
+    return inertia if tree.joints[term.joint].revolute else float(body[3, 3])
 
 
-def _unit(rows: Array) -> Array:
-    """Rows of norm one, (k, m)."""
+def _unit_rows(rows: Array) -> Array:
+    """Rows scaled to unit norm, (k, m); zero rows stay zero."""
     size = np.linalg.norm(rows, axis=1)
     return rows / np.where(size > 0, size, 1.0)[:, None]

@@ -1,4 +1,4 @@
-"""Bodies of a robot by measurements and its model file: `plate + prior(robot)`."""
+"""Posterior of a robot's bodies from estimates and a model file: `plate + prior(robot)`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 
 from testbed.bodies.consistency.consistent import Consistent, consistent, robot_of
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.consistency.robots import Robots, robots
+from testbed.bodies.consistency.robots import RobotSamples, robots
 from testbed.bodies.prior import prior_of
-from testbed.bodies.write_model import Fixed
+from testbed.bodies.write_model import FixedLinkShare
 from testbed.bodies.write_model import write_model as write_tree
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import SettingsError
@@ -25,31 +25,35 @@ from testbed.core.base.summary_table import (
 )
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
-from testbed.core.parameters.symbols import STANDARD
-from testbed.core.robot.model_file import file_of
+from testbed.core.parameters.symbols import STANDARD_NAMES
+from testbed.core.robot.model_file import model_file_of
 from testbed.core.robot.tree import Tree, require_tree
 
 
 @dataclass(frozen=True, eq=False)
 class FilePrior(Value):
-    """Bodies of a model file before any data, to be added to estimates.
+    """Prior bodies of a model file, to be added to estimates.
 
     Attributes:
-        robot: The robot with the bodies of its file.
-        options: What is asked of bodies, the prior error among it.
+        robot: Robot with the bodies of its file.
+        options: Options of consistent bodies, with the prior error.
     """
 
     robot: Tree
     options: ConsistencyOptions
 
     def __add__(self, data: Estimate | Information) -> RobotPosterior:
-        """Physically consistent bodies by data and file together."""
+        """Posterior of physically consistent bodies from data and model file.
+
+        Raises:
+            SettingsError: `data` is not an estimate of `identify`, or contains other data.
+        """
         return self.__radd__(data)
 
     def __radd__(self, data: Estimate | Information) -> RobotPosterior:
-        found = data.estimates if isinstance(data, Information) else (data,)
-        estimates = tuple(each for each in found if isinstance(each, Estimate))
-        if not estimates or len(estimates) < len(found):
+        addends = data.estimates if isinstance(data, Information) else (data,)
+        estimates = tuple(each for each in addends if isinstance(each, Estimate))
+        if not estimates or len(estimates) < len(addends):
             raise SettingsError(
                 "a model file's bodies are added to estimates of `identify`"
             )
@@ -57,11 +61,11 @@ class FilePrior(Value):
 
 
 def prior(robot: Tree, error: float = 0.3) -> FilePrior:
-    """The bodies of a robot's model file, to be added to estimates.
+    """Prior bodies of a robot's model file, to be added to estimates.
 
     Args:
-        robot: The robot with the bodies of its file.
-        error: Standard deviation of every body's mass, centre and inertia, in parts of themselves.
+        robot: Robot with the bodies of its file.
+        error: Relative standard deviation of every body's mass, centre of mass and inertia.
     """
     require_tree(robot, "prior(robot, error)")
     return FilePrior(robot, ConsistencyOptions(prior_error=error))
@@ -69,11 +73,11 @@ def prior(robot: Tree, error: float = 0.3) -> FilePrior:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobotPosterior(Summarized):
-    """A robot's bodies by data and model file: physically consistent.
+    """Posterior of a robot's physically consistent bodies from data and model file.
 
     Attributes:
-        prior: The model file's bodies.
-        estimates: Of the data.
+        prior: Prior bodies of the model file.
+        estimates: Estimates of the data.
     """
 
     prior: FilePrior
@@ -81,7 +85,7 @@ class RobotPosterior(Summarized):
 
     @cached_property
     def bodies(self) -> Consistent:
-        """Likeliest bodies, with covariances and what the data had to give way."""
+        """Physically consistent bodies from data and model file, with standard deviations."""
         prior = self.prior
         return consistent(
             prior.robot, self.estimates, prior_of(prior.robot), prior.options
@@ -89,64 +93,65 @@ class RobotPosterior(Summarized):
 
     @cached_property
     def robot(self) -> Tree:
-        """The robot with these bodies, friction and rotor inertias."""
+        """Robot with the physically consistent bodies, friction and rotor inertias."""
         return robot_of(self.bodies, self.prior.robot)
 
-    def sample(self, count: int, seed: int = 0) -> Robots:
-        """Draw robots that could be the one that was measured.
+    def sample(self, count: int, seed: int = 0) -> RobotSamples:
+        """Sample robots from the posterior.
 
         Args:
-            count: How many.
-            seed: Of the random numbers.
+            count: Number of samples.
+            seed: Seed of the random numbers.
         """
         prior, rng = self.prior, np.random.default_rng(seed)
-        believed = prior_of(prior.robot)
-        return robots(prior.robot, self.estimates, believed, count, rng, prior.options)
+        bodies = prior_of(prior.robot)
+        return robots(prior.robot, self.estimates, bodies, count, rng, prior.options)
 
     @property
     def summary(self) -> SummaryTable:
-        """Mass and centre of mass of every link, a row each."""
-        found = self.bodies
+        """Table of the mass and first moments of every link, with standard deviations."""
+        bodies = self.bodies
         sources = " + ".join(each.instrument for each in self.estimates)
         rows = [
             (
                 "link",
                 *(
                     f"{name} [{'kg' if name == 'm' else 'kg m'}]"
-                    for name in STANDARD[:4]
+                    for name in STANDARD_NAMES[:4]
                 ),
             )
         ]
-        for k, link in enumerate(found.links):
+        for k, link in enumerate(bodies.links):
             numbers = zip(
-                found.standard[k].tolist(), found.sigma[k].tolist(), strict=True
+                bodies.standard[k].tolist(), bodies.sigma[k].tolist(), strict=True
             )
             rows.append((link, *(number_with_sigma(*pair) for pair in [*numbers][:4])))
-        head = f"{len(found.links)} bodies by {sources} + model file"
-        return SummaryTable(head, tuple(rows))
+        title = f"{len(bodies.links)} bodies by {sources} + model file"
+        return SummaryTable(title, tuple(rows))
 
 
 def write_model(
     robot: RobotPosterior | Tree,
     path: str | Path,
     *,
-    fixed: Fixed = "lump",
+    fixed: FixedLinkShare = "lump",
     note: Sequence[str] = (),
 ) -> tuple[Diagnostic, ...]:
-    """Write a copy of a model file with a robot's masses, friction and rotors.
+    """Write a copy of a model file with a robot's masses, friction and rotor inertias.
 
     Args:
-        robot: A robot, or estimates and model file together (`plate + prior(robot)`).
-        path: URDF or MJCF, as the file that the robot was read from.
-        fixed: What of a body goes to links fixed to others: nothing ("lump"), or in proportion to
-            what they had ("share").
-        note: Lines of a comment.
+        robot: Robot, or posterior of estimates and model file (`plate + prior(robot)`).
+        path: Path of the copy, in the format of the robot's file (URDF or MJCF).
+        fixed: Part of a body's inertia that is written to links fixed to other links: none
+            ("lump"), or a part in proportion to their inertia in the file ("share").
+        note: Lines of a comment at the beginning of the copy's root element.
 
     Returns:
-        What the format has no place for.
+        Diagnostics of values that the format cannot express or that readers change.
 
     Raises:
-        ModelError: The file cannot be edited, or is not to be overwritten.
+        ModelError: The file cannot be edited or must not be overwritten, or `path` has the wrong
+            extension for its format.
     """
     tree = robot if isinstance(robot, Tree) else robot.robot
-    return write_tree(file_of(tree), tree, Path(path), fixed=fixed, note=note)
+    return write_tree(model_file_of(tree), tree, Path(path), fixed=fixed, note=note)

@@ -1,11 +1,12 @@
-"""Robots drawn from what data and a model file say together; each of them can exist.
+"""Samples of physically consistent robots from the posterior of data and a model file.
 
-A body's pseudo-inertia is J = U L L' U' with that of the file U U' [RW22]. Before the data, the
-logarithms of L's diagonal and the numbers above it are independent and Gaussian: the body's mass
-has the file's as its median. The data are Gaussian in standard parameters, which are linear in
-Y = L L'. So all is drawn in the coordinates of Y, where the data's narrow directions are straight:
-from the Gaussian around the consistent bodies by elliptical slice sampling [MAM10], which is exact
-whatever that Gaussian is, and has nothing to set.
+The pseudo-inertia of a body is J = U L L' U', where U U' is the pseudo-inertia in the file [RW22].
+In the prior, the logarithms of L's diagonal and the elements above the diagonal are independent and
+Gaussian; the median of a body's mass is the mass in the file. The likelihood of the data is
+Gaussian in the standard parameters, which are linear in Y = L L'. Samples are therefore drawn in
+the coordinates of Y, in which the directions that the data determine are straight. The method is
+elliptical slice sampling [MAM10] around the consistent bodies, which is exact for any choice of its
+Gaussian and has no tuning parameters.
 
 Source    [RW22] for the coordinates, [MAM10] for the sampler.
 """
@@ -18,54 +19,61 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from testbed.bodies.consistency.consistent import FAINT, problem_of, spread_at
-from testbed.bodies.consistency.likelihood import terms_of
+from testbed.bodies.consistency.consistent import (
+    FREE_TERM_WEIGHT,
+    consistency_program,
+    laplace_covariance,
+)
+from testbed.bodies.consistency.likelihood import joint_terms_of
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.consistency.program import NonlinearProgram, solve
-from testbed.bodies.prior import Prior
-from testbed.core.base.arrays import Array, freeze
+from testbed.bodies.consistency.program import NonlinearProgram, solve_program
+from testbed.bodies.prior import PriorBodies
+from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.codec import with_properties
+from testbed.core.base.codec import schema_with_properties
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.summary_table import Summarized, SummaryTable, parameter_rows
 from testbed.core.estimation.estimate import Estimate
-from testbed.core.parameters.pseudo_inertia import of_coordinates
-from testbed.core.parameters.symbols import STANDARD, with_standard
+from testbed.core.parameters.pseudo_inertia import matrices_from_coordinates
+from testbed.core.parameters.symbols import STANDARD_NAMES, with_standard_parameters
 from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.core.robot.tree import Tree
 
-STAGES, ROUNDS = 4, 25
-"""How often the chains' Gaussian is taken anew, and slices with each: a draw does not remember
-where it began."""
+GAUSSIAN_UPDATES, SLICES = 4, 25
+"""Number of updates of the chains' Gaussian, and of slices with each: samples are independent of
+the start."""
 
-CHAINS = 5
-"""Least number of chains, in dimensions."""
+CHAINS_PER_DIMENSION = 5
+"""Smallest number of chains over the number of dimensions."""
 
-BODY = len(STANDARD)
-"""Numbers of a body."""
+BODY_PARAMETER_COUNT = len(STANDARD_NAMES)
+"""Number of standard parameters of a body."""
 
-TINY = 1e-12
-"""Sigmas that are zero, of what cannot be negative."""
+MIN_SIGMAS = 1e-12
+"""Smallest value of a non-negative term in standard deviations."""
 
-LOSSES = (COULOMB, VISCOUS, ROTOR)
-"""Of a joint: what model files have a place for."""
+JOINT_LAWS = (COULOMB, VISCOUS, ROTOR)
+"""Laws of joint friction and rotor inertia with fields in model files."""
 
-NAMES = (*STANDARD, *(law.kind for law in LOSSES))
-"""Of what is drawn of a body and its joint."""
+SAMPLE_NAMES = (*STANDARD_NAMES, *(law.kind for law in JOINT_LAWS))
+"""Names of the sampled numbers of a body and its joint."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robots(Summarized):
-    """Draws of one robot.
+class RobotSamples(Summarized):
+    """Samples of one robot's bodies, friction and rotor inertias.
 
     Attributes:
-        joints: The joints' names, (n,).
-        links: The bodies' names, (n,).
-        names: Of the thirteen: a body's standard parameters and its joint's losses.
-        values: Of all draws, (N, n, 13) [kg, kg m, kg m^2; N m, N m s/rad, kg m^2 or N, N s/m, kg].
-        share: Part of the prior's variance of each that the data take away, (n, 13): 1 is the
-            data's, 0 the model file's.
-        prior_error: Of the model file, in parts of itself.
+        joints: Names of the joints, (n,).
+        links: Names of the bodies, (n,).
+        names: Names of the 13 numbers of a body and its joint: standard parameters m mx my mz Ixx
+            Ixy Iyy Ixz Iyz Izz in the body frame; Coulomb friction, viscous friction and rotor
+            inertia of the joint.
+        values: The N samples, (N, n, 13) [kg, kg m, kg m^2; N m, N m s/rad, kg m^2 or N, N s/m,
+            kg].
+        share: Fraction of the prior variance that the data remove, (n, 13): 1 for numbers that the
+            data determine, 0 for numbers that the model file determines.
+        prior_error: Relative error of the model file's bodies.
     """
 
     joints: tuple[str, ...]
@@ -73,17 +81,17 @@ class Robots(Summarized):
     values: Array
     share: Array
     prior_error: float
-    names: tuple[str, ...] = NAMES
+    names: tuple[str, ...] = SAMPLE_NAMES
 
-    __get_pydantic_core_schema__ = with_properties("mean", "sigma")
+    __get_pydantic_core_schema__ = schema_with_properties("mean", "sigma")
 
     def __post_init__(self) -> None:
-        one = (len(self.joints), len(self.names))
-        freeze(self, values=(len(self.values), *one), share=one)
+        shape = (len(self.joints), len(self.names))
+        freeze_arrays(self, values=(len(self.values), *shape), share=shape)
 
     @property
     def summary(self) -> SummaryTable:
-        """Mass of every body: mean and standard deviation of the draws."""
+        """Table of the bodies' masses: mean and standard deviation of the samples."""
         masses = parameter_rows(
             self.links, self.mean[:, 0], self.sigma[:, 0], ["kg"] * len(self.links)
         )
@@ -91,73 +99,83 @@ class Robots(Summarized):
 
     @property
     def mean(self) -> Array:
-        """Of the draws, (n, 13)."""
+        """Mean of the samples, (n, 13)."""
         return np.asarray(self.values.mean(axis=0))
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations of the draws, (n, 13)."""
+        """Standard deviations of the samples, (n, 13)."""
         return np.asarray(self.values.std(axis=0))
 
     def tree(self, k: int, tree: Tree) -> Tree:
-        """One of them.
+        """Tree with the bodies, friction and rotor inertias of one sample.
 
         Args:
-            k: Its number.
-            tree: The robot; geometry and limits are its.
+            k: Index of the sample.
+            tree: Robot that provides the geometry and the limits.
         """
-        fields, own = [str(law.parameter) for law in LOSSES], self.values[k]
+        fields, numbers = [str(law.parameter) for law in JOINT_LAWS], self.values[k]
         joints = tuple(
             replace(joint, **dict(zip(fields, losses, strict=True)))
-            for joint, losses in zip(tree.joints, own[:, BODY:].tolist(), strict=True)
+            for joint, losses in zip(
+                tree.joints, numbers[:, BODY_PARAMETER_COUNT:].tolist(), strict=True
+            )
         )
-        return replace(with_standard(tree, own[:, :BODY]), joints=joints)
+        return replace(
+            with_standard_parameters(tree, numbers[:, :BODY_PARAMETER_COUNT]),
+            joints=joints,
+        )
 
 
 def robots(
     tree: Tree,
     estimates: Sequence[Estimate],
-    prior: Prior,
+    prior: PriorBodies,
     count: int,
     rng: np.random.Generator,
     options: ConsistencyOptions | None = None,
-) -> Robots:
-    """Robots that could be the one that was measured.
+) -> RobotSamples:
+    """Sample robots from the posterior of estimates and a model file.
 
-    A joint's friction and rotor inertia that are among an estimate's terms are the data's; the
-    others are the file's, wrong by the prior's error.
+    Friction and rotor inertias that are terms of an estimate are sampled from the posterior
+    together with the bodies. Other friction and rotor inertias are sampled log-normally around the
+    values in the model file, with the relative error of the prior.
 
     Args:
-        tree: The robot; friction that its joints state is the file's.
-        estimates: Of one recording, one a method.
-        prior: Bodies and rotors before the data.
-        count: How many.
-        rng: Draws the numbers.
-        options: What is asked besides; default `ConsistencyOptions()`.
+        tree: Robot; the friction of its joints is that of the file.
+        estimates: Estimates from one recording, one per method.
+        prior: Prior bodies and rotors.
+        count: Number of samples N.
+        rng: Random number generator.
+        options: Options; None for `ConsistencyOptions()`.
 
     Raises:
-        SettingsError: As `consistent`; or `count` is not positive.
-        RecordingError: There is no estimate whose covariance is one.
+        SettingsError: As for `consistent`, or `count` is not positive.
+        RecordingError: No estimate has a valid covariance.
     """
     options = options or ConsistencyOptions()
     error = options.prior_error
     if count < 1:
         raise SettingsError("robots are drawn one or more")
     with one_blas_thread():
-        used, _, program = problem_of(tree, estimates, prior, options)
-        centre, _ = solve(program, 1 / error**2)
-        z = _draws(program, centre, error, count, rng)
-        _, share = spread_at(program, centre, 1 / error**2)
-    x = z @ program.lead.T
-    losses = losses_of_file(tree, prior, error, count, rng)
+        used, _, program = consistency_program(tree, estimates, prior, options)
+        centre, _ = solve_program(program, 1 / error**2)
+        z = _sample_unknowns(program, centre, error, count, rng)
+        _, share = laplace_covariance(program, centre, 1 / error**2)
+    x = z @ program.x_from_z.T
+    losses = sample_file_losses(tree, prior, error, count, rng)
     loss_share = np.zeros(losses.shape[1:])
-    for k, term in enumerate(terms_of(used), start=BODY * tree.n):
-        if term.law in LOSSES and term.joint < tree.n:
-            place = term.joint, LOSSES.index(term.law)
-            losses[(slice(None), *place)], loss_share[place] = x[:, k], share[k]
-    bodies = x[:, : BODY * tree.n].reshape(count, tree.n, BODY)
-    body_share = share[: BODY * tree.n].reshape(tree.n, BODY)
-    return Robots(
+    for k, term in enumerate(joint_terms_of(used), start=BODY_PARAMETER_COUNT * tree.n):
+        if term.law in JOINT_LAWS and term.joint < tree.n:
+            index = term.joint, JOINT_LAWS.index(term.law)
+            losses[(slice(None), *index)], loss_share[index] = x[:, k], share[k]
+    bodies = x[:, : BODY_PARAMETER_COUNT * tree.n].reshape(
+        count, tree.n, BODY_PARAMETER_COUNT
+    )
+    body_share = share[: BODY_PARAMETER_COUNT * tree.n].reshape(
+        tree.n, BODY_PARAMETER_COUNT
+    )
+    return RobotSamples(
         joints=tree.names,
         links=tuple(joint.body for joint in tree.joints),
         values=np.concatenate([bodies, losses], axis=-1),
@@ -166,143 +184,180 @@ def robots(
     )
 
 
-def losses_of_file(
-    tree: Tree, prior: Prior, error: float, count: int, rng: np.random.Generator
+def sample_file_losses(
+    tree: Tree, prior: PriorBodies, error: float, count: int, rng: np.random.Generator
 ) -> Array:
-    """LOSSES as the file has them, (count, n, 3): logarithms are Gaussian, nothing stays nothing.
+    """Log-normal samples of friction and rotor inertias around the model file, (count, n, 3).
 
-    Arguments are those of `robots`, and the file's error.
+    Values that are zero in the file stay zero.
+
+    Args:
+        tree: Robot; the friction of its joints is that of the file.
+        prior: Prior bodies and rotors.
+        error: Standard deviation of the logarithms.
+        count: Number of samples.
+        rng: Random number generator.
     """
-    stated = [law.coefficients(tree) for law in LOSSES[:2]]
-    file = np.stack([*stated, prior.rotors], axis=-1)
+    friction = [law.coefficients(tree) for law in JOINT_LAWS[:2]]
+    file = np.stack([*friction, prior.rotors], axis=-1)
     return file * np.exp(error * rng.normal(size=(count, *file.shape)))
 
 
 def _log_prior(bodies: Array, error: float) -> Array:
-    """Logarithm of the density of bodies' coordinates, (N,); minus infinity where none is one.
+    """Log prior density of N samples of the bodies, (N,); -inf for impossible bodies.
+
+    The density refers to the entries of Y = L L', with L upper triangular, and is not normalised.
+    The logarithms of L's diagonal are Gaussian with mean zero and sigma error / 2; the other
+    entries of L are Gaussian with mean zero and sigma error / sqrt(2).
 
     Args:
-        bodies: Y, (N, bodies, 4, 4).
-        error: Of the file's bodies.
+        bodies: Matrices Y of the bodies in each sample, (N, bodies, 4, 4).
+        error: Relative error of the prior bodies.
     """
-    density, rest = np.zeros(len(bodies)), bodies
+    density, remainder = np.zeros(len(bodies)), bodies
     with np.errstate(invalid="ignore", divide="ignore"):
         for b in reversed(range(4)):
-            size = np.sqrt(rest[..., b, b])
+            diagonal = np.sqrt(remainder[..., b, b])
             # to the power b + 1 in |dY / dL|, once more in dL / dlog L
-            logs = np.log(size)
+            logs = np.log(diagonal)
             density -= (0.5 * (2 * logs / error) ** 2 + (b + 2) * logs).sum(axis=1)
-            column = rest[..., :b, b] / size[..., None]
+            column = remainder[..., :b, b] / diagonal[..., None]
             density -= (column**2).sum(axis=(1, 2)) / error**2
-            rest = rest[..., :b, :b] - column[..., None] * column[..., None, :]
+            remainder = (
+                remainder[..., :b, :b] - column[..., None] * column[..., None, :]
+            )
     return np.where(np.isfinite(density), density, -np.inf)
 
 
-def _draws(
+def _sample_unknowns(
     program: NonlinearProgram,
     centre: Array,
     error: float,
     count: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Unknowns z, (count, m), by data, prior and conditions together.
+    """Posterior samples of the m unknowns z within the constraints, (count, m).
+
+    Elliptical slice sampling starts from a Gaussian approximation at the consistent bodies, in
+    which each non-negative term is mapped to a truncated Gaussian. There are at least
+    `CHAINS_PER_DIMENSION` chains per dimension.
 
     Args:
-        program: In numbers near one.
-        centre: The consistent bodies, (m,).
-        error: Of the file's bodies.
-        count: How many.
-        rng: Draws the numbers.
+        program: Program of consistent bodies.
+        centre: Consistent bodies, (m,).
+        error: Relative error of the prior bodies.
+        count: Number of samples.
+        rng: Random number generator.
     """
     weight = 1 / error**2
     hessian = (
-        program.square
+        program.normal_matrix
         + weight * program.prior_hessian(centre)
-        + FAINT * np.eye(len(centre))
+        + FREE_TERM_WEIGHT * np.eye(len(centre))
     )
-    inner = np.linalg.cholesky(program.free.T @ hessian @ program.free)
+    cholesky_factor = np.linalg.cholesky(
+        program.null_space_basis.T @ hessian @ program.null_space_basis
+    )
     # root root' is the Gaussian's covariance
-    root = np.linalg.solve(inner, program.free.T).T
-    # where terms at their limits would be without
+    root = np.linalg.solve(cholesky_factor, program.null_space_basis.T).T
+    # mode without the non-negativity constraints
     mean = centre + program.step(centre, weight, 0.0)[0]
-    bodies, own = 10 * program.bodies, 10 * program.bodies + np.flatnonzero(program.own)
-    size, most = np.linalg.norm(root, axis=1)[program.positive], mean[program.positive]
-    above = special.log_ndtr(most / size)
+    bodies, prior_terms = (
+        10 * program.body_count,
+        10 * program.body_count + np.flatnonzero(program.has_prior),
+    )
+    term_sigma, term_mean = (
+        np.linalg.norm(root, axis=1)[program.nonnegative_indices],
+        mean[program.nonnegative_indices],
+    )
+    log_mass = special.log_ndtr(term_mean / term_sigma)
 
     def unknowns(steps: Array) -> tuple[Array, Array]:
-        """z, and the logarithm of how a step stretches what cannot be negative, (N,).
+        """Unknowns z at given steps, and log Jacobian of the map of non-negative terms, (N,).
 
-        To such a term alone the Gaussian becomes itself without its part below zero.
+        The map transforms the Gaussian of each non-negative term to a Gaussian truncated at zero.
         """
         z = mean + steps @ root.T
-        plain = (z[:, program.positive] - most) / size
-        kept = -special.ndtri_exp(special.log_ndtr(-plain) + above)
-        z[:, program.positive] = np.maximum(most + size * kept, TINY * size)
-        return z, ((kept**2 - plain**2) / 2 + above).sum(axis=1)
+        term_z = (z[:, program.nonnegative_indices] - term_mean) / term_sigma
+        truncated_z = -special.ndtri_exp(special.log_ndtr(-term_z) + log_mass)
+        z[:, program.nonnegative_indices] = np.maximum(
+            term_mean + term_sigma * truncated_z, MIN_SIGMAS * term_sigma
+        )
+        return z, ((truncated_z**2 - term_z**2) / 2 + log_mass).sum(axis=1)
 
     def density(steps: Array) -> Array:
-        """Its logarithm, (N,); minus infinity where there are no such robots."""
-        z, found = unknowns(steps)
-        found -= ((z @ program.rows.T - program.right) ** 2).sum(axis=1) / 2
-        found += _log_prior(
-            of_coordinates(z[:, :bodies].reshape(len(z), -1, 10)), error
+        """Log density at given steps, (N,); -inf for impossible robots."""
+        z, log_density = unknowns(steps)
+        log_density -= ((z @ program.rows.T - program.right_hand_side) ** 2).sum(
+            axis=1
+        ) / 2
+        log_density += _log_prior(
+            matrices_from_coordinates(z[:, :bodies].reshape(len(z), -1, 10)), error
         )
-        logs = np.log(z[:, own])  # of what the file states of the joints
-        found -= (logs + 0.5 * (logs / error) ** 2).sum(axis=1)
-        return np.where(np.isfinite(found), found, -np.inf)
+        logs = np.log(z[:, prior_terms])  # joint terms with a log-normal prior
+        log_density -= (logs + 0.5 * (logs / error) ** 2).sum(axis=1)
+        return np.where(np.isfinite(log_density), log_density, -np.inf)
 
-    move = centre - mean
-    move[program.positive] = 0.0
-    inside = np.linalg.lstsq(root, move, rcond=None)[0]
-    chains = max(count, CHAINS * root.shape[1])
-    away = rng.normal(size=(chains, root.shape[1]))
-    while (outside := density(inside + away) == -np.inf).any():
-        away[outside] /= 2
-    steps = inside + away
-    for _ in range(STAGES):
-        steps = elliptical_slices(density, steps, ROUNDS, rng)
+    offset = centre - mean
+    offset[program.nonnegative_indices] = 0.0
+    centre_steps = np.linalg.lstsq(root, offset, rcond=None)[0]
+    chains = max(count, CHAINS_PER_DIMENSION * root.shape[1])
+    perturbation = rng.normal(size=(chains, root.shape[1]))
+    while (is_outside := density(centre_steps + perturbation) == -np.inf).any():
+        perturbation[is_outside] /= 2
+    steps = centre_steps + perturbation
+    for _ in range(GAUSSIAN_UPDATES):
+        steps = elliptical_slice_samples(density, steps, SLICES, rng)
     return unknowns(steps[:count])[0]
 
 
-def elliptical_slices(
+def elliptical_slice_samples(
     density: Callable[[Array], Array],
     start: Array,
-    rounds: int,
+    slices: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Draws of a density, each by a chain of its own, on ellipses of the Gaussian of all of them.
+    """Sample a density with many chains of elliptical slice sampling, one sample per chain.
+
+    The ellipses are those of the Gaussian with the mean and covariance of all starting points.
 
     Args:
-        density: Its logarithm at points, (N, d) -> (N,); minus infinity outside.
-        start: Inside, (N, d), many more than dimensions.
-        rounds: Slices of each chain.
-        rng: Draws the numbers.
+        density: Log density at N points in d dimensions, (N, d) -> (N,); -inf outside of the
+            support.
+        start: Starting points in the support, (N, d); N must be much larger than d.
+        slices: Number of slices of each chain.
+        rng: Random number generator.
     """
     mean, root = start.mean(axis=0), np.linalg.cholesky(np.cov(start.T))
 
-    def advantage(points: Array) -> Array:
+    def log_ratio(points: Array) -> Array:
         return np.asarray(density(mean + points @ root.T) + (points**2).sum(axis=1) / 2)
 
-    here = np.linalg.solve(root, (start - mean).T).T
-    value = advantage(here)
-    for _ in range(rounds):
-        other = np.asarray(rng.normal(size=here.shape))
-        height = value + np.log(rng.random(len(here)))
-        angle = np.asarray(2 * np.pi * rng.random(len(here)))
+    state = np.linalg.solve(root, (start - mean).T).T
+    value = log_ratio(state)
+    for _ in range(slices):
+        directions = np.asarray(rng.normal(size=state.shape))
+        threshold = value + np.log(rng.random(len(state)))
+        angle = np.asarray(2 * np.pi * rng.random(len(state)))
         low, high = angle - 2 * np.pi, angle.copy()
-        now, left = here.copy(), np.arange(len(here))
-        while len(left):
-            turn = angle[left, None]
-            there = here[left] * np.cos(turn) + other[left] * np.sin(turn)
-            found = advantage(there)
-            taken = found >= height[left]
-            now[left[taken]], value[left[taken]] = there[taken], found[taken]
-            left = left[~taken]
-            below = angle[left] < 0
-            low[left[below]], high[left[~below]] = (
-                angle[left[below]],
-                angle[left[~below]],
+        next_state, active = state.copy(), np.arange(len(state))
+        while len(active):
+            active_angle = angle[active, None]
+            proposals = state[active] * np.cos(active_angle) + directions[
+                active
+            ] * np.sin(active_angle)
+            proposal_values = log_ratio(proposals)
+            is_accepted = proposal_values >= threshold[active]
+            next_state[active[is_accepted]], value[active[is_accepted]] = (
+                proposals[is_accepted],
+                proposal_values[is_accepted],
             )
-            angle[left] = low[left] + (high - low)[left] * rng.random(len(left))
-        here = now
-    return np.asarray(mean + here @ root.T)
+            active = active[~is_accepted]
+            is_negative = angle[active] < 0
+            low[active[is_negative]], high[active[~is_negative]] = (
+                angle[active[is_negative]],
+                angle[active[~is_negative]],
+            )
+            angle[active] = low[active] + (high - low)[active] * rng.random(len(active))
+        state = next_state
+    return np.asarray(mean + state @ root.T)

@@ -1,5 +1,5 @@
-"""What every room uses: arrays, errors, files, diagnostics as values, JSON.
+"""Foundations of all packages: arrays, errors, files, diagnostics, JSON.
 
-In: nothing of the package.
-Out: small functions and types without robots in them.
+In: no other module of the package.
+Out: small functions and types that do not refer to robots.
 """

@@ -1,7 +1,7 @@
-"""Arrays as values: read-only, of a checked shape; and the two matrices every room needs.
+"""Array types, read-only arrays of a checked shape, cross-product matrices.
 
-Trailing axes are the vector's or matrix's own, leading axes are samples, so that every
-function here serves one sample, many samples, and arrays of symbols alike.
+The trailing axes are those of a vector or matrix; leading axes are samples. All functions accept a
+single sample, many samples, and arrays of symbols.
 """
 
 from __future__ import annotations
@@ -14,65 +14,70 @@ from numpy.typing import ArrayLike, NDArray
 from testbed.core.base.codec import ArraySchema
 
 Array: TypeAlias = Annotated[NDArray[np.float64], ArraySchema()]
-AnyArray: TypeAlias = NDArray[Any]  # numbers or symbols
+AnyArray: TypeAlias = NDArray[Any]  # of numbers or symbols
 
 
-def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:
-    """`value` as a read-only array of float64, checked to have `shape`.
+def readonly_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:
+    """Read-only float64 array of a checked shape.
 
     Args:
-        value: Anything NumPy turns into an array. Copied, row by row, unless it is one of
-            float64 that is read-only already: parts of recordings and memory maps stay where
-            they are.
+        value: Value that NumPy can convert to an array. It is copied in row-major order unless it
+            is already a read-only float64 array, such as a part of a recording or a memory map. An
+            empty list becomes an array of the required shape if an axis has length 0 and no axis is
+            free.
         shape: Required shape; None leaves an axis free.
-        name: What the array is called in the error.
+        name: Name of the array in the error message.
 
     Raises:
         ValueError: The shape differs.
     """
-    kept = isinstance(value, np.ndarray) and not value.flags.writeable
+    is_readonly = isinstance(value, np.ndarray) and not value.flags.writeable
     array = (
         np.asarray(value, np.float64)
-        if kept
+        if is_readonly
         else np.array(value, np.float64, order="C")
     )
     if array.shape == (0,) and 0 in shape and None not in shape:
-        # a list of nothing has one axis
+        # an empty list has one axis
         array = array.reshape([each or 0 for each in shape])
-    fits = array.ndim == len(shape) and all(
-        want is None or want == have
-        for want, have in zip(shape, array.shape, strict=True)
+    matches = array.ndim == len(shape) and all(
+        length is None or length == actual
+        for length, actual in zip(shape, array.shape, strict=True)
     )
-    if not fits:
-        wanted = ", ".join("any" if want is None else str(want) for want in shape)
-        raise ValueError(f"{name} has shape {array.shape}, expected ({wanted})")
+    if not matches:
+        expected = ", ".join(
+            "any" if length is None else str(length) for length in shape
+        )
+        raise ValueError(f"{name} has shape {array.shape}, expected ({expected})")
     array.flags.writeable = False
     return array
 
 
-def freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
-    """Arrays of a frozen value made read-only, as it is made; for `__post_init__`.
+def freeze_arrays(value: object, **shapes: tuple[int | None, ...]) -> None:
+    """Replace array fields of a frozen dataclass by read-only arrays, in its `__post_init__`.
 
     Args:
-        value: The value.
-        shapes: By the array's name, as for `readonly`.
+        value: The dataclass instance, changed in place.
+        **shapes: Required shapes as for `readonly_array`, keyed by field name.
 
     Raises:
         ValueError: A shape differs.
     """
     for name, shape in shapes.items():
-        object.__setattr__(value, name, readonly(getattr(value, name), shape, name))
+        object.__setattr__(
+            value, name, readonly_array(getattr(value, name), shape, name)
+        )
 
 
 def skew(v: AnyArray) -> AnyArray:
-    """The matrix v~ with v~ u = v x u.  v: (..., 3); returns (..., 3, 3)."""
-    found = np.zeros((*v.shape, 3), dtype=v.dtype)
-    found[..., [2, 0, 1], [1, 2, 0]] = v
-    found[..., [1, 2, 0], [2, 0, 1]] = -v
-    return found
+    """Cross-product matrix v~ with `v~ u = v x u` of a vector v, (..., 3, 3)."""
+    matrix = np.zeros((*v.shape, 3), dtype=v.dtype)
+    matrix[..., [2, 0, 1], [1, 2, 0]] = v
+    matrix[..., [1, 2, 0], [2, 0, 1]] = -v
+    return matrix
 
 
-def apply(matrix: AnyArray, vector: AnyArray) -> AnyArray:
-    """Matrix times vector.  (..., 3, 3) and (..., 3) give (..., 3)."""
+def multiply_vectors(matrix: AnyArray, vector: AnyArray) -> AnyArray:
+    """Products of matrices, (..., 3, 3), with vectors, (..., 3), sample by sample."""
     product: AnyArray = (matrix @ vector[..., None])[..., 0]
     return product

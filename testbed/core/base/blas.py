@@ -1,4 +1,7 @@
-"""Linear algebra on one thread: the order of its sums, and so their bits, depend on the number."""
+"""Linear algebra on one thread, with reproducible results.
+
+The order of summation in BLAS, and therefore the rounding, depends on the number of threads.
+"""
 
 from __future__ import annotations
 
@@ -15,27 +18,32 @@ from testbed.core.base.arrays import Array
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS to one thread; also a decorator."""
-    with _libraries().limit(limits=1, user_api="blas"):
+    """Context manager or decorator that limits BLAS to one thread."""
+    with _thread_controller().limit(limits=1, user_api="blas"):
         yield
 
 
 @cache
-def _libraries() -> ThreadpoolController:
+def _thread_controller() -> ThreadpoolController:
+    """Controller of the threads of all loaded BLAS libraries."""
     return ThreadpoolController()
 
 
 def eigh(matrix: Array) -> tuple[Array, Array]:
-    """Eigenvalues (m,), from the least, and eigenvectors in columns (m, m) of a symmetric matrix.
+    """Eigenvalues in ascending order, (m,), and eigenvectors, (m, m), of a symmetric matrix.
 
-    NumPy's divide and conquer (LAPACK's syevd) gives up on a few good matrices of a hundred
-    columns and more; relatively robust representations (syevr) then do it.
+    Divide and conquer (LAPACK's syevd, the default of NumPy) fails to converge for a few regular
+    matrices with a hundred or more columns. In this case, relatively robust representations (syevr)
+    are used.
 
     Args:
-        matrix: (m, m).
+        matrix: Symmetric matrix, (m, m).
+
+    Returns:
+        Eigenvalues and eigenvectors in columns.
     """
     try:
-        size, axes = np.linalg.eigh(matrix)
+        eigenvalues, eigenvectors = np.linalg.eigh(matrix)
     except np.linalg.LinAlgError:
-        size, axes = linalg.eigh(matrix, driver="evr")
-    return size, axes
+        eigenvalues, eigenvectors = linalg.eigh(matrix, driver="evr")
+    return eigenvalues, eigenvectors

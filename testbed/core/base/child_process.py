@@ -1,7 +1,8 @@
-"""Calls of this program's functions in a child Python, within limits of time and memory.
+"""Function calls in a child Python process with limits of time and memory.
 
-Libraries in C crash, loop or fill the memory on a damaged file; with them only the child ends.
-What comes back are JSON and NumPy arrays in a temporary folder, never pickles.
+On a damaged file, C libraries may crash, loop endlessly or exhaust the memory. In a child process,
+such a failure does not affect this process. Results are passed as JSON and NumPy arrays in a
+temporary folder, never as pickles.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from numpy.typing import NDArray
 
 from testbed.core.base.errors import TestbedError
 
-SECONDS, BYTES = 60.0, 4_000_000_000
-"""Wall time and address space of a child."""
+MAX_SECONDS, MAX_BYTES = 60.0, 4_000_000_000
+"""Default limits of a child process: run time [s] and address space [bytes]."""
 
-Returned = tuple[Any, Mapping[str, NDArray[Any]]]
-"""JSON, and arrays by name: what functions return that are called in a child."""
+ChildResult = tuple[Any, Mapping[str, NDArray[Any]]]
+"""Return value of functions called in a child: JSON content, and arrays keyed by name."""
 
 
 def call_in_child(
@@ -37,22 +38,29 @@ def call_in_child(
     *arguments: Any,
     file: Path,
     error: type[TestbedError],
-    seconds: float = SECONDS,
-    memory: int = BYTES,
-) -> Returned:
-    """Call a function in a child process, which also ends when this process ends.
+    seconds: float = MAX_SECONDS,
+    memory: int = MAX_BYTES,
+) -> ChildResult:
+    """Call a function in a child process, with limits of time and memory.
+
+    The child process is killed at the time limit; it ends when this process ends.
 
     Args:
-        function: MODULE:NAME of a function that returns `Returned`; a literal of this program.
-        arguments: JSON.
-        file: What it reads, as errors name it.
-        error: Class of the errors raised here, which takes a message.
-        seconds: Wall time.
-        memory: Bytes of address space, and of each file written; held where the system can.
+        function: Function of this package in the form MODULE:NAME, given as a literal. It returns a
+            `ChildResult`: JSON content, and arrays keyed by name.
+        *arguments: Arguments of the function, as JSON values.
+        file: File that the function reads, for error messages.
+        error: Class of the errors to raise; its constructor takes a message.
+        seconds: Limit of run time [s].
+        memory: Limit of address space and of the size of each written file [bytes], on systems that
+            support such limits.
+
+    Returns:
+        Return value of the function.
 
     Raises:
-        TestbedError: An `error`, in the words of the function's own, or saying that the library
-            crashed, failed, or went beyond the limits.
+        TestbedError: An instance of `error` with the message of the function's error, or with the
+            message that the library crashed, failed, or exceeded the limits.
     """
     with tempfile.TemporaryDirectory(
         prefix="testbed-", ignore_cleanup_errors=True
@@ -61,7 +69,7 @@ def call_in_child(
         (folder / "call.json").write_text(
             json.dumps([function, arguments, seconds, memory])
         )
-        code = _ended(folder, seconds)
+        code = _run_child(folder, seconds)
         if code is None:
             raise error(
                 f"{file}: reading took more than {seconds:.0f} s: the file is damaged or too "
@@ -79,8 +87,11 @@ def call_in_child(
         return answer["said"], dict(zip(answer["names"], arrays, strict=True))
 
 
-def _ended(folder: Path, seconds: float) -> int | None:
-    """Exit code of a child Python that makes the call in a folder; None where it took too long."""
+def _run_child(folder: Path, seconds: float) -> int | None:
+    """Run the call in `call.json` of a folder in a child; return its exit code.
+
+    The result is None if the child exceeds the time limit and is killed.
+    """
     process = subprocess.Popen(
         # -P: no code of the working folder
         [
@@ -111,20 +122,25 @@ def _ended(folder: Path, seconds: float) -> int | None:
 
 
 def _make_call(folder: Path) -> None:
-    """Make the call that a folder holds, in the child, and write its answer there."""
+    """Run the call in `call.json` of a folder, and write its results there.
+
+    This function runs in the child process, which then ends with exit code 0. Array number k is
+    written to k.npy. The file `answer.json` contains the JSON content and the array names, or the
+    message of any error raised by the function.
+    """
     function, arguments, seconds, memory = json.loads(
         (folder / "call.json").read_text()
     )
     file = str(arguments[0]) if arguments else function
-    _limit(seconds, memory)
-    threading.Thread(target=_follow_parent, args=(folder,), daemon=True).start()
-    tempfile.tempdir = str(folder)  # removed with it whatever happens
+    _limit_resources(seconds, memory)
+    threading.Thread(target=_exit_with_parent, args=(folder,), daemon=True).start()
+    tempfile.tempdir = str(folder)  # removed with the folder in all cases
     module, _, name = function.partition(":")
     try:
-        said, arrays = getattr(import_module(module), name)(*arguments)
+        content, arrays = getattr(import_module(module), name)(*arguments)
         for k, array in enumerate(arrays.values()):
             np.save(folder / f"{k}.npy", array, allow_pickle=False)
-        answer = {"said": said, "names": [*arrays]}
+        answer = {"said": content, "names": [*arrays]}
     except TestbedError as error:
         answer = {"refused": str(error)}
     except MemoryError:
@@ -132,32 +148,37 @@ def _make_call(folder: Path) -> None:
             "refused": f"{file}: reading takes more than {memory / 1e9:.1f} GB of memory: the file "
             "is damaged or too large; write it again, smaller or in parts"
         }
-    except Exception as error:  # libraries raise whatever a damaged file makes them
-        said = " ".join(str(error).split())
-        answer = {"refused": f"{file}: not readable: {said} ({type(error).__name__})"}
+    except Exception as error:  # a damaged file may raise any error in a library
+        text = " ".join(str(error).split())
+        answer = {"refused": f"{file}: not readable: {text} ({type(error).__name__})"}
     (folder / "answer.json").write_text(json.dumps(answer))
     os._exit(0)  # a library may still crash as it is unloaded
 
 
-def _limit(seconds: float, memory: int) -> None:
-    """Limits of this process, where the system has such."""
+def _limit_resources(seconds: float, memory: int) -> None:
+    """Limit memory, file size and CPU time of this process, if the system supports limits."""
     with suppress(ImportError):
         import resource  # not on Windows
 
         limits = {
             resource.RLIMIT_AS: memory,
             resource.RLIMIT_FSIZE: memory,
-            # of all threads; where no parent ends it
+            # CPU time of all threads, in case the parent does not end the child
             resource.RLIMIT_CPU: int(10 * seconds),
             resource.RLIMIT_CORE: 0,
         }
-        for which, most in limits.items():
-            with suppress(ValueError, OSError):  # a limit from outside is lower
-                resource.setrlimit(which, (most, resource.getrlimit(which)[1]))
+        for resource_id, limit in limits.items():
+            with suppress(ValueError, OSError):  # an inherited limit is lower
+                resource.setrlimit(
+                    resource_id, (limit, resource.getrlimit(resource_id)[1])
+                )
 
 
-def _follow_parent(folder: Path) -> None:
-    """End this process when the parent ends and so closes its end of the pipe."""
+def _exit_with_parent(folder: Path) -> None:
+    """End this process when the parent ends and thereby closes the pipe.
+
+    The folder of the call is removed first.
+    """
     sys.stdin.buffer.read()
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)

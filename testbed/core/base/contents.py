@@ -1,4 +1,4 @@
-"""Contents of files: texts of a bounded size, and fingerprints."""
+"""Text of files up to a maximum size, and SHA-256 digests."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ import hashlib
 from pathlib import Path
 
 
-def read_text(path: Path, most: int) -> str:
-    """The text in a file, which need not be all UTF-8.
+def read_text(path: Path, max_bytes: int) -> str:
+    """Read a text file, with replacement characters for bytes that are not UTF-8.
 
     Args:
         path: The file.
-        most: Bytes that it may have.
+        max_bytes: Largest permitted size.
 
     Raises:
-        OSError: It is no file, may not be read, or is longer.
+        OSError: The path is not a file, or the file is not readable or too large.
     """
-    if not path.is_file():  # opening a pipe would wait for whoever writes into it
+    if not path.is_file():  # opening a pipe would wait for its writer
         raise OSError(f"'{path}' is no file")
     size = path.stat().st_size
-    if size > most:
+    if size > max_bytes:
         raise OSError(
-            f"'{path}' has {size} bytes; what is expected there has at most {most}"
+            f"'{path}' has {size} bytes; what is expected there has at most {max_bytes}"
         )
     return path.read_text(encoding="utf-8", errors="replace")
 
 
-def fingerprint(path: Path) -> str:
-    """SHA-256 of a file's content, in hexadecimal."""
+def sha256_of_file(path: Path) -> str:
+    """SHA-256 digest of a file, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

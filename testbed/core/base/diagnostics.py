@@ -1,7 +1,7 @@
-"""All that a result says to a person, as values; their sentences are in `messages.toml`.
+"""Diagnostics of results, represented as values; their wording is in `messages.toml`.
 
-Errors say that data and model contradict each other, so that standard deviations do not hold;
-warnings, what limits a result; infos, what was done.
+The level "error" means that data and model contradict each other, so that standard deviations are
+not valid. A "warning" describes a limitation of the result, an "info" a processing step.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 Level = Literal["error", "warning", "info"]
 
-ALIKE = 2
-"""Most diagnostics of one code, causes and remedy that have a sentence each."""
+MAX_QUOTED = 2
+"""Largest number of diagnostics quoted in full that share code, causes and remedy."""
 
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One thing that a person should know of a result.
+    """Finding about a result: code, text, level, size, likely causes and remedy.
 
     Attributes:
-        code: Its kind, such as "plate.tare": a key of the table of messages.
-        text: What is the case, numbers included.
-        level: How grave it is.
-        subject: Which channel, joint, parameter or file.
-        value: The number that it is about, in the unit that the text names.
-        sigma: Its standard deviation.
-        significance: Standard deviations beyond which it is no noise; None where it is no matter
-            of noise.
-        method: Of the estimate that it spoils; "" for all.
-        causes: Codes of the likely causes, the likeliest first; or phrases.
-        remedy: What to do.
-        follows: Code of the diagnostic that explains it.
-        recording: Name of the recording, where there are several.
-        instrument: The force sensor that it is of; "" where that is the plate.
+        code: Kind of finding, such as "plate.tare": a key of the message table.
+        text: Statement of the finding, with numbers.
+        level: Severity.
+        subject: Channel, joint, parameter or file concerned.
+        value: Size of the finding, in the unit given in the text.
+        sigma: Standard deviation of `value`.
+        significance: Size of the finding in standard deviations of the noise; None if noise cannot
+            cause it.
+        method: Method whose estimate is affected, "wrench" or "torque"; "" for all methods.
+        causes: Codes of the likely causes, or phrases; the most likely cause comes first.
+        remedy: Recommended action.
+        follows: Code of the diagnostic of which this diagnostic is a symptom; "" for none.
+        recording: Name of the recording; "" if there is only one recording.
+        instrument: Name of the force sensor concerned; "" for the force plate.
     """
 
     code: str
@@ -57,10 +57,15 @@ class Diagnostic:
     instrument: str = ""
 
     def __str__(self) -> str:
-        return ". ".join(_parts([self], ()))
+        return ". ".join(_group_text([self], ()))
 
     def explains(self, other: Diagnostic) -> bool:
-        """Whether another one may be no more than a symptom of this one."""
+        """True if another diagnostic may be a symptom of this diagnostic.
+
+        The other message must have a symptom name, and this message must not be marked `alone`.
+        The recordings must be equal, and so must the methods, unless this method is "". A symptom
+        marked `gross` also requires that this diagnostic has no significance.
+        """
         message, symptom = _message(self.code), _message(other.code).symptom
         if not symptom or message.alone or self.method not in ("", other.method):
             return False
@@ -69,25 +74,25 @@ class Diagnostic:
         return not _message(other.code).gross or self.significance is None
 
     def as_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Fields as a dictionary of JSON values."""
         return {
             k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()
         }
 
 
 class Message(NamedTuple):
-    """How a kind of diagnostic is worded.
+    """Wording of one kind of diagnostic, from one table of `messages.toml`.
 
     Attributes:
-        text: With fields of `str.format`.
-        level: As of the diagnostic.
+        text: Statement, with replacement fields of `str.format`.
+        level: Severity of the diagnostic.
         causes: Codes of likely causes.
-        remedy: What to do, with fields.
-        optional: By name of a field: what is added to the text where that is not empty.
-        symptom: What it is called beside a diagnostic that explains it; "" for what is a cause.
-        gross: Whether it is a symptom of gross faults only.
-        alone: Whether it explains no symptoms.
-        rank: Of symptoms: the first one stands for all where none is explained.
+        remedy: Recommended action, with replacement fields.
+        optional: Additions to the text, keyed by field name, used if the field is not empty.
+        symptom: Name of the finding as a symptom of another diagnostic; "" for a cause.
+        gross: True for a symptom that only gross faults have.
+        alone: True if the diagnostic has no symptoms.
+        rank: Order among symptoms; if no cause is present, the first symptom replaces the cause.
     """
 
     text: str
@@ -101,7 +106,7 @@ class Message(NamedTuple):
     rank: int = 0
 
 
-def diagnose(
+def make_diagnostic(
     code: str,
     subject: str = "",
     value: float | None = None,
@@ -113,114 +118,128 @@ def diagnose(
     causes: Iterable[str] | None = None,
     **details: Any,
 ) -> Diagnostic:
-    """A diagnostic, worded by the table of messages.
+    """Create a diagnostic with the wording of the message table.
 
     Args:
-        code: A key of the table.
-        subject: As of the diagnostic.
-        value: As of the diagnostic; numbers that are not finite are dropped.
-        sigma: As of the diagnostic.
-        significance: As of the diagnostic.
-        method: As of the diagnostic.
-        level: Default the table's.
-        causes: Default the table's.
-        details: What else its sentences hold.
+        code: Key of the table, GROUP.NAME; a code that is not in the table gets the wording of
+            GROUP.other.
+        subject: Channel, joint, parameter or file concerned.
+        value: Size of the finding; `value`, `sigma` and `significance` become None if not finite.
+        sigma: Standard deviation of `value`.
+        significance: Size in standard deviations of the noise.
+        method: Method whose estimate is affected.
+        level: Severity; by default that of the table.
+        causes: Codes of likely causes; by default those of the table.
+        **details: Values of further fields of the wording; for a value that is not empty, the
+            optional addition of the same name is appended to the text.
     """
     message = _message(code)
     numbers = {"value": value, "sigma": sigma, "significance": significance}
-    shown = {"subject": subject, "method": method, **numbers, **details}
-    more = (part for name, part in message.optional.items() if details.get(name))
+    field_values = {"subject": subject, "method": method, **numbers, **details}
+    additions = (part for name, part in message.optional.items() if details.get(name))
     return Diagnostic(
         code=code,
-        text="".join([message.text, *more]).format(**shown),
+        text="".join([message.text, *additions]).format(**field_values),
         level=level or message.level,
         subject=subject,
-        value=_finite(value),
-        sigma=_finite(sigma),
-        significance=_finite(significance),
+        value=_finite_or_none(value),
+        sigma=_finite_or_none(sigma),
+        significance=_finite_or_none(significance),
         method=method,
         causes=message.causes if causes is None else tuple(causes),
-        remedy=message.remedy.format(**shown),
+        remedy=message.remedy.format(**field_values),
     )
 
 
 _PLATE = re.compile(r"(?<![-\w])(force )?plate(?!\w)")
+"""Pattern that matches the name of the force plate in a sentence."""
 
 
-def of_instrument(
+def worded_for_sensor(
     diagnostics: Iterable[Diagnostic], name: str
 ) -> tuple[Diagnostic, ...]:
-    """The same of another force sensor: its name stands where sentences say "plate".
+    """Diagnostics with the name of a force sensor in place of "plate" in the texts.
 
     Args:
-        diagnostics: As the table words them.
-        name: Of the sensor; "" for the plate.
+        diagnostics: Diagnostics with the wording of the table.
+        name: Name of the sensor; "" for the plate.
     """
     if not name:
         return tuple(diagnostics)
     return tuple(
         replace(
-            each,
-            text=_PLATE.sub(name, each.text),
-            subject=_PLATE.sub(name, each.subject),
-            remedy=_PLATE.sub(name, each.remedy),
+            diagnostic,
+            text=_PLATE.sub(name, diagnostic.text),
+            subject=_PLATE.sub(name, diagnostic.subject),
+            remedy=_PLATE.sub(name, diagnostic.remedy),
             instrument=name,
         )
-        for each in diagnostics
+        for diagnostic in diagnostics
     )
 
 
-def ordered(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Errors first, the most significant cause before others, symptoms marked and behind.
+def ordered_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """Order diagnostics: causes by decreasing significance, then symptoms, then warnings and infos.
 
-    None stands twice. Symptoms that nothing explains follow from the first of themselves.
+    Causes and symptoms are of level "error". A missing significance is treated as infinite. The
+    field `follows` of each symptom is set to the code of the first cause that explains it
+    (`explains`). If there is no cause, the symptom that comes first in the message table is taken
+    as the cause of the others. Duplicates are removed.
 
     Args:
-        diagnostics: Of one recording, by one method or by both.
+        diagnostics: Diagnostics of one recording, of one or both methods.
     """
-    every = dict.fromkeys(replace(each, follows="") for each in diagnostics)
+    distinct = dict.fromkeys(replace(each, follows="") for each in diagnostics)
     causes: list[Diagnostic] = []
     symptoms: list[Diagnostic] = []
-    errors = [each for each in every if each.level == "error"]
+    errors = [each for each in distinct if each.level == "error"]
     for each in sorted(
         errors, key=lambda d: (_message(d.code).rank, -_significance(d))
     ):
         leader = next((cause for cause in causes if cause.explains(each)), each)
-        if _kind(leader) == _kind(each):
+        if _group_key(leader) == _group_key(each):
             causes.append(each)
         else:
             symptoms.append(replace(each, follows=leader.code))
     causes.sort(key=lambda d: -_significance(d))
-    return (*causes, *symptoms, *(each for each in every if each.level != "error"))
+    return (*causes, *symptoms, *(each for each in distinct if each.level != "error"))
 
 
 def sentences(diagnostics: Iterable[Diagnostic]) -> tuple[str, ...]:
-    """As a person reads them in a line each: see `paragraphs`.
+    """Texts of diagnostics, one line per group of similar diagnostics.
+
+    A line consists of the parts from `diagnostic_paragraphs`, separated by full stops.
 
     Args:
-        diagnostics: In order.
+        diagnostics: Ordered diagnostics.
     """
-    return tuple(". ".join(parts) for parts in paragraphs(diagnostics))
+    return tuple(". ".join(parts) for parts in diagnostic_paragraphs(diagnostics))
 
 
-def paragraphs(diagnostics: Iterable[Diagnostic]) -> tuple[tuple[str, ...], ...]:
-    """What was found, the likely causes, the symptoms that follow, the remedy; each a sentence.
+def diagnostic_paragraphs(
+    diagnostics: Iterable[Diagnostic],
+) -> tuple[tuple[str, ...], ...]:
+    """Parts of each group's text: findings, likely causes, symptoms, remedy.
+
+    Diagnostics with the same code, recording, instrument, level, causes and remedy form a group. If
+    there are no causes and no remedy, the texts must also be equal. Symptoms are listed with the
+    first group of their cause.
 
     Args:
-        diagnostics: In order.
+        diagnostics: Ordered diagnostics.
     """
-    every = list(diagnostics)
-    causes = {each.code for each in every if not each.follows}
+    entries = list(diagnostics)
+    causes = {each.code for each in entries if not each.follows}
     groups: dict[tuple[str, ...], list[Diagnostic]] = {}
     symptoms: dict[str, dict[str, None]] = {}
-    for each in every:
+    for each in entries:
         if each.follows in causes:
             symptoms.setdefault(each.follows, {})[_message(each.code).symptom] = None
         else:
-            groups.setdefault(_kind(each), []).append(each)
+            groups.setdefault(_group_key(each), []).append(each)
     first = {group[0].code: group for group in reversed(groups.values())}
     return tuple(
-        _parts(
+        _group_text(
             group,
             symptoms.get(group[0].code, ()) if first[group[0].code] is group else (),
         )
@@ -228,81 +247,87 @@ def paragraphs(diagnostics: Iterable[Diagnostic]) -> tuple[tuple[str, ...], ...]
     )
 
 
-def from_json(content: Any) -> tuple[Diagnostic, ...]:
-    """Diagnostics of tables as `as_dict` makes them.
+def diagnostics_from_json(content: Any) -> tuple[Diagnostic, ...]:
+    """Diagnostics from tables written by `Diagnostic.as_dict`.
 
     Args:
-        content: A list of tables with at least code and text.
+        content: List of tables with at least code and text.
 
     Raises:
-        ValueError: It is something else.
+        ValueError: The content has another form.
     """
-    from testbed.core.base.codec import decode  # loads NumPy
+    from testbed.core.base.codec import from_json_values  # loads NumPy
 
-    return tuple(decode(list[Diagnostic], content, {}))
+    return tuple(from_json_values(list[Diagnostic], content, {}))
 
 
 class Diagnosed:
-    """What has diagnostics."""
+    """Base class of results with diagnostics."""
 
     if TYPE_CHECKING:
 
         @property
         def diagnostics(self) -> tuple[Diagnostic, ...]:
-            """What a careful reader should know."""
+            """Findings about the result."""
 
     @property
-    def doubtful(self) -> bool:
-        """Whether data and model contradict each other: standard deviations do not hold then."""
+    def has_errors(self) -> bool:
+        """True if data and model contradict each other, so that sigmas are not valid."""
         return any(each.level == "error" for each in self.diagnostics)
 
 
 @cache
-def messages() -> Mapping[str, Message]:
-    """The table of messages, by code."""
-    found: dict[str, Message] = {}
+def message_table() -> Mapping[str, Message]:
+    """Message table: wording of each kind of diagnostic, keyed by code GROUP.NAME.
+
+    Keys directly under a group apply to all messages of the group. Symptoms are ranked in the order
+    of the file.
+    """
+    by_code: dict[str, Message] = {}
     rank = 0
-    for group, table in _table().items():
+    for group, table in _message_file().items():
         common = {
-            key: said for key, said in table.items() if not isinstance(said, dict)
+            key: entry for key, entry in table.items() if not isinstance(entry, dict)
         }
         for name, own in table.items() if group != "causes" else ():
             if isinstance(own, dict):
-                given = common | own
-                rank += "symptom" in given
-                given["causes"] = tuple(given.get("causes", ()))
-                given["rank"] = rank * ("symptom" in given)
-                found[f"{group}.{name}"] = Message(**given)
-    return found
+                arguments = common | own
+                rank += "symptom" in arguments
+                arguments["causes"] = tuple(arguments.get("causes", ()))
+                arguments["rank"] = rank * ("symptom" in arguments)
+                by_code[f"{group}.{name}"] = Message(**arguments)
+    return by_code
 
 
-def phrase(cause: str, instrument: str = "") -> str:
-    """What a cause is called.
+def cause_phrase(cause: str, instrument: str = "") -> str:
+    """Phrase for a likely cause, from the table of causes.
 
     Args:
-        cause: Its code, or the phrase itself.
-        instrument: As of the diagnostic.
+        cause: Code of the cause; if it is not in the table, a phrase or words joined by
+            underscores.
+        instrument: Name of the force sensor, which replaces "plate"; "" for the plate.
     """
     words = cause.replace("_", " ") if cause.isidentifier() else cause
-    said = str(_table()["causes"].get(cause, words))
-    return _PLATE.sub(instrument, said) if instrument else said
+    text = str(_message_file()["causes"].get(cause, words))
+    return _PLATE.sub(instrument, text) if instrument else text
 
 
 @cache
-def _table() -> Mapping[str, Any]:
+def _message_file() -> Mapping[str, Any]:
+    """Parsed content of `messages.toml`."""
     return loads(
         files("testbed.core.base").joinpath("messages.toml").read_text("utf-8")
     )
 
 
 def _message(code: str) -> Message:
-    """Message of a code; for an unknown code that of its group's "other", or an empty one."""
+    """Message of a code; for unknown codes the group's message "other", or an empty message."""
     other = f"{code.partition('.')[0]}.other"
-    return messages().get(code, messages().get(other, Message("")))
+    return message_table().get(code, message_table().get(other, Message("")))
 
 
-def _kind(each: Diagnostic) -> tuple[str, ...]:
-    """What diagnostics have in common that share a sentence."""
+def _group_key(each: Diagnostic) -> tuple[str, ...]:
+    """Key that is equal for diagnostics of one group (`diagnostic_paragraphs`)."""
     own = () if each.causes or each.remedy else (each.text,)
     return (
         each.code,
@@ -315,24 +340,36 @@ def _kind(each: Diagnostic) -> tuple[str, ...]:
     )
 
 
-def _parts(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
-    """Diagnostics of one kind: of many the first ones are given and all are counted."""
-    first, shown = group[0], [each.text for each in group[:ALIKE]]
-    shown += [f"and {len(group) - ALIKE} similar"] * (len(group) > ALIKE)
-    text = f"{first.recording}: " * bool(first.recording) + "; ".join(shown)
+def _group_text(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
+    """Texts, likely causes, symptoms and remedy of a group of similar diagnostics.
+
+    The first `MAX_QUOTED` texts are quoted; of the others, only the number is given.
+    """
+    first, texts = group[0], [each.text for each in group[:MAX_QUOTED]]
+    texts += [f"and {len(group) - MAX_QUOTED} similar"] * (len(group) > MAX_QUOTED)
+    text = f"{first.recording}: " * bool(first.recording) + "; ".join(texts)
     labels = {
         "Likely cause": ", or ".join(
-            phrase(each, first.instrument) for each in first.causes
+            cause_phrase(each, first.instrument) for each in first.causes
         ),
         "Consequence": ", ".join(symptoms),
         "Remedy": first.remedy,
     }
-    return (text, *(f"{label}: {said}" for label, said in labels.items() if said))
+    return (
+        text,
+        *(
+            f"{label}: {text_of_label}"
+            for label, text_of_label in labels.items()
+            if text_of_label
+        ),
+    )
 
 
 def _significance(each: Diagnostic) -> float:
+    """Significance for sorting; infinite if the diagnostic has no significance."""
     return math.inf if each.significance is None else each.significance
 
 
-def _finite(value: float | None) -> float | None:
+def _finite_or_none(value: float | None) -> float | None:
+    """Number as a float; None if the number is absent or not finite."""
     return None if value is None or not math.isfinite(value) else float(value)

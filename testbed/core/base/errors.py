@@ -1,7 +1,7 @@
-"""Errors for the person: what was asked, what was found, what to do.
+"""Exceptions caused by user input, and functions for the wording of their messages.
 
-Every error that a user can cause derives from `TestbedError`; the data ride along as
-attributes. The command line prints the message as one line and exits with code 2.
+All errors that a user can cause derive from `TestbedError`. The command line prints the message on
+one line and exits with code 2.
 """
 
 from __future__ import annotations
@@ -11,47 +11,51 @@ from difflib import get_close_matches
 from itertools import accumulate, islice
 from pathlib import Path
 
-LONGEST_MESSAGE = 500
-"""Characters of a message; more would drive everything else off the terminal.
+MAX_MESSAGE_LENGTH = 500
+"""Largest number of characters of a message, so that it fits into a terminal.
 
-Messages have 300 at most, but where they print lines for a mapping or list a loop's joints."""
-LONGEST_NAME = 200
-"""Names longer than this are not searched for likely typing errors: that takes too long."""
-ENOUGH = 3
-"""Values for each unknown that are enough of a motion that does not repeat."""
-LISTED, WIDTH = 6, 100
-"""Names that a line lists of many, and characters that an error's may have together."""
-NEAR, SEARCHED = 5, 2000
-"""Likely meant names that come first in a list, and names that are searched for them."""
+Most messages have at most 300 characters. Longer messages quote lines of a mapping file or list the
+joints of a loop.
+"""
+MAX_SEARCHED_LENGTH = 200
+"""Largest length of a name for which similar names are sought, because the search is slow."""
+VALUES_PER_UNKNOWN = 3
+"""Recommended number of measured values per unknown, for a motion without repetitions."""
+MAX_LISTED, MAX_LIST_WIDTH = 6, 100
+"""Largest number of names and largest width [characters] of a list in a message."""
+MAX_SUGGESTIONS, MAX_SEARCHED_NAMES = 5, 2000
+"""Largest number of suggested names, and of known names among which suggestions are sought."""
 
 
-def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
-    r"""Text as one line that any terminal shows as it is.
+def printable_line(text: str, limit: int = MAX_MESSAGE_LENGTH) -> str:
+    r"""Text as a single line of printable characters, shortened in the middle.
 
     Args:
-        text: Any, also from a file: names, messages.
-        limit: Characters of the result; text that is longer loses its middle, and says so.
+        text: Any text, such as a name or a message of a file.
+        limit: Largest number of characters of the result.
 
     Returns:
-        Blanks and line ends of every kind as single spaces; what a terminal would obey and not
-        show (escape sequences, C1 controls, bidirectional marks) spelled out, as \x1b.
+        Text with single spaces in place of white space and line ends; control characters (escape
+        sequences, C1 controls, bidirectional marks) are replaced by codes such as \x1b.
     """
-    shown = [visible(letter) for letter in " ".join(text.split())]
-    count = sum(map(len, shown))
+    characters = [
+        escape_control_characters(letter) for letter in " ".join(text.split())
+    ]
+    count = sum(map(len, characters))
     if count <= limit:
-        return "".join(shown)
+        return "".join(characters)
     gap = f" ... ({count} characters in all) ... "
     gap = gap if 2 * len(gap) < limit else "..."
-    left = limit - len(gap)
+    room = limit - len(gap)
     return (
-        _start(shown, left - left // 2)
+        _leading_pieces(characters, room - room // 2)
         + gap
-        + _start(shown[::-1], left // 2, backwards=True)
+        + _leading_pieces(characters[::-1], room // 2, backwards=True)
     )
 
 
-def visible(text: str) -> str:
-    r"""Text of any lines, with what a terminal would obey spelled out: \x1b, \u202e, \r."""
+def escape_control_characters(text: str) -> str:
+    r"""Replace control characters, except tab and line feed, by codes such as \x1b."""
     return "".join(
         c
         if c.isprintable() or c in "\n\t\u00a0"
@@ -61,124 +65,150 @@ def visible(text: str) -> str:
 
 
 def round_significant(value: float, digits: int) -> float:
-    """A number with so many significant digits, as a person writes it.
+    """Round a number to a given number of significant digits.
 
     Args:
-        value: Any.
-        digits: At least one.
+        value: Any number.
+        digits: Number of significant digits, at least 1.
     """
     return float(f"{value:.{digits}g}")
 
 
-def plural(count: int, noun: str) -> str:
-    """A number with its noun: "1 sample", "2 samples"."""
+def count_with_noun(count: int, noun: str) -> str:
+    """Count followed by the noun in singular or plural: "1 sample", "2 samples"."""
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
-def few(names: Sequence[str], width: int | None = None, by: str = ", ") -> str:
-    """The first names of a list, and how many there are more.
+def shortened_list(
+    names: Sequence[str], width: int | None = None, by: str = ", "
+) -> str:
+    """First names of a list as text, with the number of omitted names.
 
     Args:
-        names: Of parameters, for example.
-        width: Characters that they may have together, the first being whole; default: `LISTED`
-            names, whatever their length.
-        by: What stands between them.
+        names: Names, for example of parameters.
+        width: Largest total number of characters of the names; the first name is never shortened.
+            By default, the limit is `MAX_LISTED` names of any length.
+        by: Separator between the names.
     """
     ends = accumulate((len(name) + len(by) for name in names), initial=0)
-    fit = LISTED if width is None else sum(end <= width for end in ends) - 1
-    shown = names[: max(fit, 1)]
-    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
-    return by.join(shown) + more
+    count = MAX_LISTED if width is None else sum(end <= width for end in ends) - 1
+    listed = names[: max(count, 1)]
+    more = f" and {len(names) - len(listed)} more" if len(names) > len(listed) else ""
+    return by.join(listed) + more
 
 
-def quoted(names: Iterable[str]) -> str:
-    """The first names of a list, each in quotes, and how many there are more."""
-    return few([f"'{name}'" for name in names], WIDTH)
+def quoted_list(names: Iterable[str]) -> str:
+    """First names of a list in quotes, with the number of omitted names."""
+    return shortened_list([f"'{name}'" for name in names], MAX_LIST_WIDTH)
 
 
-def components(vector: Iterable[float]) -> str:
-    """A vector as a person reads it."""
+def vector_text(vector: Iterable[float]) -> str:
+    """Components of a vector as text, with four significant digits."""
     return " ".join(f"{value:.4g}" for value in vector)
 
 
-def _start(pieces: Sequence[str], limit: int, *, backwards: bool = False) -> str:
-    """As many whole pieces as there is place for."""
-    taken: list[str] = []
+def _leading_pieces(
+    pieces: Sequence[str], limit: int, *, backwards: bool = False
+) -> str:
+    """Join as many leading pieces of a text as fit into a limit of characters.
+
+    With `backwards`, the pieces are given in reverse order and joined in the order of the text.
+    """
+    chosen: list[str] = []
     for piece in pieces:
         limit -= len(piece)
         if limit < 0:
             break
-        taken.append(piece)
-    return "".join(taken[::-1] if backwards else taken)
+        chosen.append(piece)
+    return "".join(chosen[::-1] if backwards else chosen)
 
 
 class TestbedError(Exception):
-    """Base of all errors that speak to the user."""
+    """Base class of all errors that a user can cause."""
 
-    __test__ = False  # not a test class, whatever its name
+    __test__ = False  # no test class for pytest
 
 
 class ModelError(TestbedError):
-    """A model file cannot be read, or holds something this project does not support."""
+    """Unreadable model file, or model with unsupported elements."""
 
 
 class UnknownName(TestbedError):
-    """A name that is not one of those known; `name` and `known` are kept."""
+    """Unknown name; the message suggests similar known names.
+
+    Attributes:
+        name: The unknown name.
+        known: All known names.
+    """
 
     def __init__(self, what: str, name: str, known: Iterable[str]) -> None:
         self.name = name
         self.known = tuple(known)
-        shown = printable(name, WIDTH)
+        printed_name = printable_line(name, MAX_LIST_WIDTH)
         if same := [each for each in self.known if each.casefold() == name.casefold()]:
-            super().__init__(f"there is no {what} '{shown}'; there is {quoted(same)}")
+            super().__init__(
+                f"there is no {what} '{printed_name}'; there is {quoted_list(same)}"
+            )
             return
-        short = [each for each in self.known if len(each) <= LONGEST_NAME]
-        near = (
-            get_close_matches(name, short[:SEARCHED], NEAR)
-            if len(name) <= LONGEST_NAME
+        searchable = [each for each in self.known if len(each) <= MAX_SEARCHED_LENGTH]
+        similar = (
+            get_close_matches(name, searchable[:MAX_SEARCHED_NAMES], MAX_SUGGESTIONS)
+            if len(name) <= MAX_SEARCHED_LENGTH
             else []
         )
-        hint = f"; did you mean '{near[0]}'?" if near else ""
-        listed = few(list(dict.fromkeys([*near, *short])), WIDTH)
-        super().__init__(f"unknown {what} '{shown}'{hint} (known: {listed})")
+        hint = f"; did you mean '{similar[0]}'?" if similar else ""
+        listed = shortened_list(
+            list(dict.fromkeys([*similar, *searchable])), MAX_LIST_WIDTH
+        )
+        super().__init__(f"unknown {what} '{printed_name}'{hint} (known: {listed})")
 
 
-def no_file(path: Path, what: str) -> str:
-    """What to say of a file that is none, with the name beside it that may be meant.
+def missing_file_message(path: Path, what: str) -> str:
+    """Error message for a path that is not a file.
+
+    If the path exists, the message gives its kind (folder, device). Otherwise, it suggests a
+    similar name in the folder.
 
     Args:
-        path: As a person wrote it.
-        what: Of what it should be.
+        path: Path as written by the user.
+        what: Expected kind of file.
     """
     if path.exists():
         return f"'{path}' is a {'folder' if path.is_dir() else 'device or pipe'}, no {what}"
     try:
-        names = [each.name for each in islice(path.parent.iterdir(), SEARCHED)]
+        names = [
+            each.name for each in islice(path.parent.iterdir(), MAX_SEARCHED_NAMES)
+        ]
     except OSError:
         names = []
-    near = get_close_matches(path.name[:LONGEST_NAME], names, 1)
-    hint = f"; did you mean '{path.with_name(near[0])}'?" if near else ""
+    similar = get_close_matches(path.name[:MAX_SEARCHED_LENGTH], names, 1)
+    hint = f"; did you mean '{path.with_name(similar[0])}'?" if similar else ""
     return f"there is no {what} '{path}'{hint}"
 
 
 class RecordingError(TestbedError):
-    """A recording that is damaged, incomplete, or of another robot."""
+    """Error: damaged or incomplete recording, or recording of another robot."""
 
 
 class SettingsError(TestbedError, ValueError):
-    """A treatment of the signals that would spoil them."""
+    """Invalid settings of signal processing."""
 
 
 class ExperimentError(TestbedError):
-    """An experiment file that cannot be carried out as written."""
+    """Invalid experiment file."""
 
 
-class InfeasibleMotion(TestbedError):
-    """No motion within the robot's limits could be found."""
+class NoFeasibleMotion(TestbedError):
+    """Error: no motion was found within the robot's limits."""
 
 
-class UnseenParameters(TestbedError):
-    """The data cannot distinguish some base parameters; `names` lists them."""
+class UnidentifiableParameters(TestbedError):
+    """Error: base parameters that the data cannot distinguish from each other.
+
+    Attributes:
+        names: Names of the parameters.
+        rank: Rank of the equations.
+    """
 
     def __init__(
         self, names: Sequence[str], rank: int, count: int, samples: int
@@ -186,26 +216,27 @@ class UnseenParameters(TestbedError):
         self.names = tuple(names)
         self.rank = rank
         if 0 < samples < count:
-            said = (
-                f"{plural(samples, 'value')}, filtered and of all channels, for {count} "
+            message = (
+                f"{count_with_noun(samples, 'value')}, filtered and of all channels, for {count} "
                 "unknowns: record at "
-                f"least {count / samples:.1f} times as long, better {ENOUGH * count / samples:.0f} "
+                f"least {count / samples:.1f} times as long, better "
+                f"{VALUES_PER_UNKNOWN * count / samples:.0f} "
                 "times, and let no motion repeat within that time"
             )
         else:
-            said = (
-                f"{plural(samples, 'sample')} determine only {rank} of {count} unknowns: "
-                f"{few(self.names, WIDTH)} are collinear; record a longer or richer motion of "
-                "the joints concerned"
+            message = (
+                f"{count_with_noun(samples, 'sample')} determine only {rank} of {count} unknowns: "
+                f"{shortened_list(self.names, MAX_LIST_WIDTH)} are collinear; record a longer or "
+                "richer motion of the joints concerned"
                 + ", or leave terms out (--terms)"
                 * any("/" in name for name in self.names)
             )
-        super().__init__(said)
+        super().__init__(message)
 
 
 class ExpressionError(TestbedError):
-    """An expression that is too long, or of too high a degree, to be multiplied out."""
+    """Error: expression too long, or of too high a degree, to be expanded."""
 
 
 class ViewerError(TestbedError):
-    """The viewer cannot be opened."""
+    """Failure to open the viewer."""

@@ -1,4 +1,7 @@
-"""Kinds of files by their content, and where each belongs: arguments are easily exchanged."""
+"""Recognition of file kinds by content, and messages about files of the wrong kind.
+
+Arguments of a command are easily interchanged; the message gives the option that takes the file.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +14,22 @@ from typing import Any
 
 from testbed.core.base.errors import TestbedError
 
-HEAD = 65_536
-"""Bytes at either end of a file in which its kind shows."""
+HEAD_BYTES = 65_536
+"""Number of bytes read at the beginning and at the end of a file to recognise its kind."""
 
-TABLES = {
+REQUIRED_KEYS = {
     "mapping": {"sources", "joints"},
     "motion": {"fundamental", "joint"},
     "plate's calibration": {"robot", "numbers"},
     "campaign": {"name", "experiment"},
     "experiment": {"model"},
 }
-"""Keys without which a TOML file is not of a kind; the first kind that has all counts."""
+"""Required keys of each kind of TOML file; the first kind whose keys are all present applies."""
 
-LOG = "log of another program"
+FOREIGN_LOG = "log of another program"
+"""Kind of a data file written by another program."""
 
-BELONGS = {
+USAGE = {
     "mapping": "testbed import {} --out recording.parquet",
     "motion": "testbed view {}, or motion.file of an experiment",
     "plate's calibration": "--plate {}",
@@ -35,61 +39,88 @@ BELONGS = {
     "recording": "testbed identify {} --model ROBOT",
     "campaign's table": "testbed campaign --summary {}",
     "result": "testbed validate RECORDING {}, or testbed sample {}",
-    LOG: "testbed new ROBOT --recording {}",
+    FOREIGN_LOG: "testbed new ROBOT --recording {}",
 }
-"""Commands and options that take a file of each kind."""
+"""Command or option that takes a file, keyed by kind of file."""
 
-LOGS = re.compile(
+LOG_NAMES = re.compile(
     r"\.(csv|tsv|mat|h5|hdf5|bag|db3|mcap|npz|c3d|parquet)(\.gz)?$", re.IGNORECASE
 )
-"""Names of other programs' files."""
+"""Pattern of the names of data files written by other programs."""
 
 
 def kind_of(path: Path) -> str:
-    """Kind of a file, a key of `BELONGS`, by content, else by name; "" if unknown."""
+    """Kind of a file, determined from content or name: a key of `USAGE` or "".
+
+    The content is recognised by the signature of Parquet files, XML tags of models, and keys of
+    results and TOML tables. The name is used only for logs of other programs. The result is "" for
+    unknown and unreadable files.
+
+    Args:
+        path: The file.
+    """
     try:
         with path.open("rb") as file:
-            head = file.read(HEAD)
-            file.seek(max(path.stat().st_size - HEAD, 0))
-            foot = file.read(HEAD)
+            head = file.read(HEAD_BYTES)
+            file.seek(max(path.stat().st_size - HEAD_BYTES, 0))
+            tail = file.read(HEAD_BYTES)
     except OSError:
         return ""
     if head.startswith(b"PAR1"):
-        if b"testbed campaign" in foot:
+        if b"testbed campaign" in tail:
             return "campaign's table"
-        return "recording" if b"position/" in foot else LOG
+        return "recording" if b"position/" in tail else FOREIGN_LOG
     if re.search(rb"<(robot|mujoco)\b", head):
         return "model file"
     if head.lstrip().startswith(b"{"):
         return (
             "result"
-            if b'"estimates"' in head + foot or b'"posterior"' in head + foot
+            if b'"estimates"' in head + tail or b'"posterior"' in head + tail
             else ""
         )
     try:
-        found = kind_of_tables(tomllib.loads(head.decode()))
+        kind = kind_of_tables(tomllib.loads(head.decode()))
     except (ValueError, RecursionError):
-        found = ""
-    return found or (LOG if LOGS.search(path.name) else "")
+        kind = ""
+    return kind or (FOREIGN_LOG if LOG_NAMES.search(path.name) else "")
 
 
 def kind_of_tables(content: Mapping[str, Any]) -> str:
-    """Kind of a TOML file by the keys of its content; "" if unknown."""
-    return next((kind for kind, keys in TABLES.items() if keys <= {*content}), "")
+    """Kind of a TOML file, determined from the keys of its content; "" if unknown.
+
+    The result is the first kind of `REQUIRED_KEYS` whose keys are all present.
+    """
+    return next(
+        (kind for kind, keys in REQUIRED_KEYS.items() if keys <= {*content}), ""
+    )
 
 
-def misplaced(path: Path, kind: str, asked: str) -> str:
-    """Message on a file of another kind than asked for, and what takes it."""
+def wrong_kind_message(path: Path, kind: str, expected: str) -> str:
+    """Message about a file of the wrong kind, with the option that takes this kind.
+
+    Args:
+        path: The file.
+        kind: Kind of the file.
+        expected: Kind that was expected.
+    """
     article = "an" if kind == "experiment" else "a"
-    return f"'{path}' is {article} {kind}, no {asked}: {BELONGS[kind].replace('{}', str(path))}"
+    return f"'{path}' is {article} {kind}, no {expected}: {USAGE[kind].replace('{}', str(path))}"
 
 
 @contextmanager
-def expecting(path: Path, *asked: str) -> Iterator[None]:
-    """Reword errors of reading a file that is of another kind than asked for."""
+def explain_wrong_kind(path: Path, *expected: str) -> Iterator[None]:
+    """Context manager that rewords read errors if the file is of an unexpected kind.
+
+    The text of a `TestbedError` or `OSError` is replaced by that of `wrong_kind_message`, and the
+    error is raised again.
+
+    Args:
+        path: The file.
+        *expected: Kinds that may be read; the usual kind comes first.
+    """
     try:
         yield
     except (TestbedError, OSError) as error:
-        if path.is_file() and (kind := kind_of(path)) and kind not in asked:
-            error.args = (misplaced(path, kind, asked[0]),)
+        if path.is_file() and (kind := kind_of(path)) and kind not in expected:
+            error.args = (wrong_kind_message(path, kind, expected[0]),)
         raise

@@ -1,4 +1,4 @@
-"""Columns by name, as other packages' data frames and back."""
+"""Conversion between named columns and data frames of other packages."""
 
 from __future__ import annotations
 
@@ -10,39 +10,43 @@ import numpy as np
 
 from testbed.core.base.errors import SettingsError
 
-PACKAGES = {"pandas": "DataFrame", "polars": "DataFrame", "pyarrow": "table"}
-"""What makes a frame of columns, by package."""
+FRAME_CLASSES = {"pandas": "DataFrame", "polars": "DataFrame", "pyarrow": "table"}
+"""Class or function that creates a data frame from columns, keyed by package."""
 
 
-def frame_of(columns: Mapping[str, Any], package: str | None = None) -> Any:
-    """Columns as a data frame of pandas or polars, or as an Arrow table, which both read.
+def data_frame(columns: Mapping[str, Any], package: str | None = None) -> Any:
+    """Data frame of pandas or polars, or Arrow table, created from columns.
 
     Args:
-        columns: Values by name, (M,) each.
-        package: "pandas", "polars" or "pyarrow"; default the first that is installed.
+        columns: Values keyed by column name, (M,) each.
+        package: "pandas", "polars" or "pyarrow"; by default the first of these that is installed.
 
     Raises:
         SettingsError: The package is not installed.
     """
-    for name in PACKAGES if package is None else (package,):
+    for name in FRAME_CLASSES if package is None else (package,):
         try:
-            made = getattr(import_module(name), PACKAGES[name])
+            make_frame = getattr(import_module(name), FRAME_CLASSES[name])
         except (ModuleNotFoundError, KeyError):
             continue
-        return made(dict(columns))
+        return make_frame(dict(columns))
     raise SettingsError(
-        f"data frames are of {', '.join(PACKAGES)}; {package} is not installed"
+        f"data frames are of {', '.join(FRAME_CLASSES)}; {package} is not installed"
     )
 
 
-def columns_of(frame: Any) -> dict[str, Any]:
-    """Columns of a data frame of pandas or polars, an Arrow table, or a mapping, by name.
+def frame_columns(frame: Any) -> dict[str, Any]:
+    """Columns of a data frame, an Arrow table or a mapping, keyed by name.
 
     Args:
-        frame: The frame; values of a mapping may have several columns, (M, k).
+        frame: Data frame of pandas or polars, Arrow table, or mapping; the values of a mapping may
+            have several columns, (M, k).
+
+    Returns:
+        Arrays of float64, keyed by column name.
 
     Raises:
-        SettingsError: It is none of these.
+        SettingsError: The frame is of another type.
     """
     names = getattr(frame, "column_names", None) or getattr(frame, "columns", None)
     if names is None and isinstance(frame, Mapping):

@@ -1,4 +1,4 @@
-"""Gaussian distributions of named parameters: estimates, and what is known before data."""
+"""Gaussian distributions of named parameters: estimates and priors."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from testbed.core.base.arrays import Array, freeze
-from testbed.core.base.codec import with_properties
-from testbed.core.base.errors import plural
-from testbed.core.base.frames import frame_of
+from testbed.core.base.arrays import Array, freeze_arrays
+from testbed.core.base.codec import schema_with_properties
+from testbed.core.base.errors import count_with_noun
+from testbed.core.base.frames import data_frame
 from testbed.core.base.summary_table import Summarized, SummaryTable, parameter_rows
 
 
@@ -23,10 +23,10 @@ class Gaussian(Summarized):
     """Gaussian distribution of named parameters.
 
     Attributes:
-        names: (p,).
-        units: One a parameter, (p,).
+        names: Parameter names, (p,).
+        units: Units of the parameters, (p,).
         values: Mean, (p,).
-        covariance: (p, p); of parameters that are not identifiable a choice.
+        covariance: Covariance, (p, p); arbitrary for parameters that are not identifiable.
         unidentifiable: Names of parameters that the data do not determine.
     """
 
@@ -36,37 +36,37 @@ class Gaussian(Summarized):
     covariance: Array
     unidentifiable: tuple[str, ...] = ()
 
-    __get_pydantic_core_schema__ = with_properties("sigma")
+    __get_pydantic_core_schema__ = schema_with_properties("sigma")
 
     def __post_init__(self) -> None:
         p = len(self.names)
-        freeze(self, values=(p,), covariance=(p, p))
+        freeze_arrays(self, values=(p,), covariance=(p, p))
 
     @cached_property
     def identifiable(self) -> NDArray[np.bool_]:
-        """Whether the data determine each parameter, (p,)."""
+        """Mask of the parameters that the data determine, (p,)."""
         return np.array(
             [name not in self.unidentifiable for name in self.names], dtype=bool
         )
 
     @cached_property
     def sigma(self) -> Array:
-        """Standard deviations, (p,); infinite of parameters that are not identifiable."""
+        """Standard deviations, (p,); infinite for parameters that are not identifiable."""
         spread = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
         return np.where(self.identifiable, spread, np.inf)
 
     def marginal(self, names: Sequence[str]) -> Gaussian:
-        """Distribution of some of the parameters.
+        """Marginal distribution of some parameters.
 
         Args:
-            names: Of these, in this order.
+            names: Names of these parameters, in the order of the result.
         """
-        at = [self.names.index(name) for name in names]
+        indices = [self.names.index(name) for name in names]
         return Gaussian(
             tuple(names),
-            tuple(self.units[k] for k in at),
-            self.values[at],
-            self.covariance[np.ix_(at, at)],
+            tuple(self.units[k] for k in indices),
+            self.values[indices],
+            self.covariance[np.ix_(indices, indices)],
             tuple(name for name in names if name in self.unidentifiable),
         )
 
@@ -75,46 +75,51 @@ class Gaussian(Summarized):
     ) -> Gaussian:
         """Distribution of linear combinations of the parameters.
 
+        A combination is unidentifiable if it contains a parameter that is not identifiable.
+
         Args:
-            matrix: The combinations, (k, p).
-            names: (k,).
-            units: (k,).
+            matrix: Coefficients of the combinations, (k, p).
+            names: Names of the combinations, (k,).
+            units: Units of the combinations, (k,).
         """
-        open_ones = (np.asarray(matrix)[:, ~self.identifiable] != 0).any(axis=1)
+        is_unidentifiable = (np.asarray(matrix)[:, ~self.identifiable] != 0).any(axis=1)
         return Gaussian(
             tuple(names),
             tuple(units),
             matrix @ self.values,
             matrix @ self.covariance @ matrix.T,
-            tuple(compress(names, open_ones)),
+            tuple(compress(names, is_unidentifiable)),
         )
 
     def conditional(
         self, matrix: Array, values: Array, covariance: ArrayLike = 0.0
     ) -> Gaussian:
-        """Distribution given matrix @ parameters = values + e, in Joseph's form.
+        """Conditional distribution given `matrix @ parameters = values + e`, with an error e.
+
+        This is the update step of the Kalman filter, with the covariance in Joseph form.
 
         Args:
             matrix: Combinations of identifiable parameters, (k, p).
-            values: (k,).
-            covariance: Of e, (k, k); zero for what holds exactly.
+            values: Values of the combinations, (k,).
+            covariance: Covariance of e, (k, k); zero for exact constraints.
         """
         noise = np.broadcast_to(covariance, (len(matrix),) * 2)
-        across = matrix @ self.covariance
-        gain = np.linalg.solve(across @ matrix.T + noise, across).T
-        rest = np.eye(len(self.names)) - gain @ matrix
+        cross_covariance = matrix @ self.covariance
+        gain = np.linalg.solve(cross_covariance @ matrix.T + noise, cross_covariance).T
+        projection = np.eye(len(self.names)) - gain @ matrix
         return replace(
             self,
             values=self.values + gain @ (values - matrix @ self.values),
-            covariance=rest @ self.covariance @ rest.T + gain @ noise @ gain.T,
+            covariance=projection @ self.covariance @ projection.T
+            + gain @ noise @ gain.T,
         )
 
     def sample(self, count: int, seed: int = 0) -> Array:
-        """Random draws, (count, p); not a number for parameters that are not identifiable.
+        """Random samples, (count, p); NaN for parameters that are not identifiable.
 
         Args:
-            count: How many.
-            seed: Of the random numbers.
+            count: Number of samples.
+            seed: Seed of the random numbers.
         """
         rng = np.random.default_rng(seed)
         draws = rng.multivariate_normal(
@@ -124,16 +129,16 @@ class Gaussian(Summarized):
 
     @property
     def summary(self) -> SummaryTable:
-        """Names, values with standard deviations, units."""
+        """Table of names, values with standard deviations, and units."""
         rows = parameter_rows(self.names, self.values, self.sigma, self.units)
-        return SummaryTable(plural(len(self.names), "parameter"), rows)
+        return SummaryTable(count_with_noun(len(self.names), "parameter"), rows)
 
     def to_frame(self) -> Any:
-        """Names, values, standard deviations and units as a frame of pandas, polars or Arrow."""
+        """Data frame with names, values, standard deviations and units of the parameters."""
         columns = {
             "name": list(self.names),
             "value": self.values.tolist(),
             "sigma": self.sigma.tolist(),
             "unit": list(self.units),
         }
-        return frame_of(columns)
+        return data_frame(columns)

@@ -1,4 +1,4 @@
-"""What is installed: the distribution's name and version, and the files that came with it."""
+"""Name and version of the installed distribution, and the files shipped with it."""
 
 from __future__ import annotations
 
@@ -8,57 +8,57 @@ from importlib.metadata import version as _version
 from pathlib import Path, PurePath
 
 DISTRIBUTION = "bedplate"
-"""The name under which testbed is packaged; that name itself is another project's."""
+"""Name of the distribution on PyPI; "testbed" is the name of another project there."""
 
-_HOME = Path(__file__).parents[2]
-_PLACES = (_HOME / "shipped", _HOME.parent)
-"""Where what ships stands: inside an installed package, beside it in a clone."""
+_PACKAGE_FOLDER = Path(__file__).parents[2]
+_SHIPPED_ROOTS = (_PACKAGE_FOLDER / "shipped", _PACKAGE_FOLDER.parent)
+"""Folders of the shipped files: in an installed package, or next to the package in a clone."""
 
 
-def version() -> str:
-    """The version that is installed; "not installed" where the source is used as it lies."""
+def installed_version() -> str:
+    """Version of the installed distribution, or "not installed" when run from a source tree."""
     try:
         return _version(DISTRIBUTION)
     except PackageNotFoundError:
         return "not installed"
 
 
-__version__ = version()
+__version__ = installed_version()
 
 
-def versions() -> dict[str, str]:
-    """Versions of Python, testbed and the packages that make the numbers."""
-    found = {"python": platform.python_version(), "testbed": version()}
+def package_versions() -> dict[str, str]:
+    """Versions of Python, testbed and the numerical packages, keyed by name."""
+    by_package = {"python": platform.python_version(), "testbed": installed_version()}
     for package in ("mujoco", "numpy", "scipy", "pin"):
         try:
-            found[package] = _version(package)
+            by_package[package] = _version(package)
         except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+            by_package[package] = "not installed"
+    return by_package
 
 
 def shipped(name: str | Path) -> Path:
-    """A model or an experiment that came with testbed.
+    """Path of a model file or an experiment file that is shipped with testbed.
 
     Args:
-        name: As "models/puma562.xml", "experiments/table6.toml"; or short, as "puma562.xml",
-            "table6", "campaigns/coverage".
+        name: Path such as "models/puma562.xml" or "experiments/table6.toml"; or a short name such
+            as "puma562.xml", "table6", "campaigns/coverage".
 
     Returns:
-        Its file.
+        Path of the file.
 
     Raises:
-        FileNotFoundError: There is none of that name.
+        FileNotFoundError: No shipped file has this name.
     """
-    for place in _PLACES:
-        for found in _meant(place, PurePath(name)):
-            if found.is_file():
-                return found
+    for root in _SHIPPED_ROOTS:
+        for path in _candidate_paths(root, PurePath(name)):
+            if path.is_file():
+                return path
     raise FileNotFoundError(f"testbed comes with no file '{name}'")
 
 
-def own_or_shipped(name: str | Path) -> Path:
-    """A person's own file, or where there is none the one that came with testbed; else `name`."""
+def user_or_shipped_file(name: str | Path) -> Path:
+    """Path of the user's file if it exists, otherwise of the shipped file, or `name`."""
     own = Path(name)
     if own.exists():
         return own
@@ -68,14 +68,22 @@ def own_or_shipped(name: str | Path) -> Path:
         return own
 
 
-def _meant(place: Path, name: PurePath) -> list[Path]:
-    """Which files a name may mean; none outside the folders that ship."""
+def _candidate_paths(root: Path, name: PurePath) -> list[Path]:
+    """Candidate paths of a shipped file; empty for absolute paths and paths with "..".
+
+    Paths that begin with models/ or experiments/ are used unchanged. Other names are tried in this
+    order: experiments/NAME.toml, experiments/NAME, models/NAME.
+
+    Args:
+        root: Folder that contains models/ and experiments/.
+        name: Path or short name of the file.
+    """
     if name.is_absolute() or ".." in name.parts or not name.parts:
         return []
     if name.parts[0] in {"models", "experiments"}:
-        return [place / name]
+        return [root / name]
     return [
-        place / "experiments" / f"{name}.toml",
-        place / "experiments" / name,
-        place / "models" / name,
+        root / "experiments" / f"{name}.toml",
+        root / "experiments" / name,
+        root / "models" / name,
     ]

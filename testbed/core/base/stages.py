@@ -1,4 +1,4 @@
-"""Where a computation spends its time, stage by stage."""
+"""Computing time of each processing stage, and callbacks that report progress."""
 
 from __future__ import annotations
 
@@ -9,46 +9,55 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 Progress = Callable[[int, int], None]
-"""Called with what is done, and how much there is in all."""
+"""Callback with the number of finished steps and the total number."""
 
 
-def unreported(*values: object) -> None:
-    """Report nothing: the default of what is called with progress."""
+def ignore_progress(*values: object) -> None:
+    """Ignore reported progress; this is the default callback."""
 
 
-_seconds: ContextVar[defaultdict[str, float] | None] = ContextVar(
+_stage_seconds: ContextVar[defaultdict[str, float] | None] = ContextVar(
     "seconds", default=None
 )
-_inside: ContextVar[float] = ContextVar("inside", default=0.0)
+"""Seconds keyed by stage in the enclosing `measure_stages` block; None outside a block."""
+_nested_seconds: ContextVar[float] = ContextVar("inside", default=0.0)
+"""Seconds spent so far in stages that are nested in the current stage."""
 
 
 @contextmanager
-def stages() -> Iterator[dict[str, float]]:
-    """Seconds of each stage that the block runs through, in the order in which they end."""
+def measure_stages() -> Iterator[dict[str, float]]:
+    """Context manager that measures the run time of each stage in its block.
+
+    Yields:
+        Seconds keyed by stage name, summed up by `timed_stage`.
+    """
     seconds: defaultdict[str, float] = defaultdict(float)
-    token = _seconds.set(seconds)
+    token = _stage_seconds.set(seconds)
     try:
         yield seconds
     finally:
-        _seconds.reset(token)
+        _stage_seconds.reset(token)
 
 
 @contextmanager
-def stage(name: str) -> Iterator[None]:
-    """A block, or a decorated function, is a stage; stages inside it count for themselves.
+def timed_stage(name: str) -> Iterator[None]:
+    """Context manager or decorator that adds its run time to a stage.
+
+    The time of a nested stage is added only to the nested stage. Outside `measure_stages`, no time
+    is measured.
 
     Args:
-        name: What it does.
+        name: Name of the stage.
     """
-    seconds = _seconds.get()
+    seconds = _stage_seconds.get()
     if seconds is None:
         yield
         return
-    outer, start = _inside.get(), time.perf_counter()
-    _inside.set(0.0)
+    outer_nested, start = _nested_seconds.get(), time.perf_counter()
+    _nested_seconds.set(0.0)
     try:
         yield
     finally:
-        spent = time.perf_counter() - start
-        seconds[name] += spent - _inside.get()
-        _inside.set(outer + spent)
+        duration = time.perf_counter() - start
+        seconds[name] += duration - _nested_seconds.get()
+        _nested_seconds.set(outer_nested + duration)

@@ -1,4 +1,4 @@
-"""Values as short tables: in a terminal, in a notebook."""
+"""Tables that summarise values, as plain text and as HTML."""
 
 from __future__ import annotations
 
@@ -11,142 +11,152 @@ from typing import Any, Self, cast
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnknownName
 
-MOST_ROWS = 40
-"""Rows that are printed; of more, how many are left out is said."""
+MAX_PRINTED_ROWS = 40
+"""Largest number of printed rows; a note gives the number of remaining rows."""
 
 
 @dataclass(frozen=True)
 class SummaryTable:
-    """Text of a value.
+    """Title, rows and notes that summarise a value.
 
     Attributes:
-        head: What it is.
-        rows: Cells of each row, as many in all; the first is a name.
-        notes: What to be careful about.
+        title: Title, one line.
+        rows: Cells of each row; all rows have the same length, and the first cell is a name.
+        notes: Remarks below the table.
     """
 
-    head: str
+    title: str
     rows: tuple[tuple[str, ...], ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
-    def short(self) -> SummaryTable:
-        """Its first rows, as many as a screen has room for."""
-        more = len(self.rows) - MOST_ROWS
-        if more <= 0:
+    def first_rows(self) -> SummaryTable:
+        """Table of the first `MAX_PRINTED_ROWS` rows, with a note on the remaining rows."""
+        omitted = len(self.rows) - MAX_PRINTED_ROWS
+        if omitted <= 0:
             return self
         return SummaryTable(
-            self.head, self.rows[:MOST_ROWS], (f"... and {more} more", *self.notes)
+            self.title,
+            self.rows[:MAX_PRINTED_ROWS],
+            (f"... and {omitted} more", *self.notes),
         )
 
     def text(self) -> str:
-        """A line each: head, rows in columns, notes."""
+        """Plain text: title, rows in aligned columns, notes."""
         columns = []
         for k, column in enumerate(zip(*self.rows, strict=True)):
             width = max(map(len, column))
             side = ">" if k == 1 < len(self.rows[0]) - 1 else "<"
             columns.append([f"{cell:{side}{width}}" for cell in column])
         lines = ("  ".join(row).rstrip() for row in zip(*columns, strict=True))
-        return "\n".join([self.head, *lines, *self.notes])
+        return "\n".join([self.title, *lines, *self.notes])
 
     def html(self) -> str:
-        """A table with a caption, then the notes."""
+        """HTML table with the title as caption, followed by a list of the notes."""
         rows = (
             "".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self.rows
         )
         body = "".join(f"<tr>{row}</tr>" for row in rows)
         notes = "".join(f"<li>{escape(line)}</li>" for line in self.notes)
-        return f"<table><caption>{escape(self.head)}</caption>{body}</table><ul>{notes}</ul>"
+        return f"<table><caption>{escape(self.title)}</caption>{body}</table><ul>{notes}</ul>"
 
 
 class Value:
-    """A frozen dataclass: a table in notebooks, copies with some fields changed."""
+    """Base class of frozen dataclasses with a summary table and copies with changed fields."""
 
     @property
     def summary(self) -> SummaryTable:
-        """The value as a short table: its fields, if a class says nothing else."""
-        shown = (each.name for each in fields(cast(Any, self)) if each.repr)
-        rows = tuple((name, repr(getattr(self, name))) for name in shown)
+        """Summary table of the value; by default one row per field."""
+        names = (each.name for each in fields(cast(Any, self)) if each.repr)
+        rows = tuple((name, repr(getattr(self, name))) for name in names)
         return SummaryTable(type(self).__name__, rows)
 
     def _repr_html_(self) -> str:
+        """HTML text of the summary, for notebooks."""
         return self.summary.html()
 
     def with_(self, **changes: Any) -> Self:
-        """Copy of the value with other values of some fields.
+        """Copy of the value with some fields replaced.
 
         Args:
-            **changes: New values by the names of fields.
+            **changes: New values, keyed by field name.
 
         Raises:
-            UnknownName: There is no such field.
-            TestbedError: Values do not fit each other.
+            UnknownName: A field does not exist.
+            TestbedError: The new values are inconsistent.
         """
-        known = [each.name for each in fields(cast(Any, self)) if each.init]
+        field_names = [each.name for each in fields(cast(Any, self)) if each.init]
         for name in changes:
-            if name not in known:
-                raise UnknownName(f"argument of {type(self).__name__}", name, known)
+            if name not in field_names:
+                raise UnknownName(
+                    f"argument of {type(self).__name__}", name, field_names
+                )
         return replace(cast(Any, self), **changes)  # type: ignore[no-any-return]
 
 
 class Summarized(Value):
-    """A value that prints as its summary; a dataclass of this kind needs `repr=False`."""
+    """Value whose text form is its summary; derived dataclasses need `repr=False`."""
 
     def __repr__(self) -> str:
-        return self.summary.short.text()
+        return self.summary.first_rows.text()
 
     def __str__(self) -> str:
-        """All rows."""
+        """Plain text of the summary with all rows."""
         return self.summary.text()
 
 
-EXACT, EXACT_SHORT = 1e-7, 1e-10
-"""Relative sigma below which decimals would hide how small it is; the same in brackets."""
+MIN_DECIMAL_RATIO, MIN_SHORT_DECIMAL_RATIO = 1e-7, 1e-10
+"""Relative sigma below which sigma is printed as a power of ten, for the long and short forms."""
 
-ROUNDING = 1e-15
-"""Relative sigma of what is known: numbers of the computer have no more digits."""
+RELATIVE_ROUNDING = 1e-15
+"""Relative sigma below which a value is considered known exactly: float64 rounding."""
 
 NOT_IDENTIFIABLE = "not identifiable"
-OPEN_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
-"""In place of a number whose sigma is infinite: no motion separates it from the plate's zero."""
+UNKNOWN_PLATE_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
+"""Text for a value with infinite sigma, which no motion separates from the plate's zero error."""
 
 
 def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
-    """Value and sigma, with as many decimals as sigma has to say.
+    """Value and standard deviation as text, rounded to two significant digits of sigma.
+
+    Sigma is printed as a power of ten if it is below `MIN_DECIMAL_RATIO` times the value, and
+    omitted below `RELATIVE_ROUNDING` times the value. An infinite sigma gives "not identifiable",
+    with the reason in the long form. If value and sigma are below 1e-15, the text is "0".
 
     Args:
-        value: The value.
-        sigma: Its standard deviation; infinite where the value is not identifiable.
-        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+        value: Value, in any unit.
+        sigma: Standard deviation; infinite if the value is not identifiable.
+        short: True for the form 1.06100(90) instead of 1.06100 +- 0.00090, where the digits in
+            brackets are the standard deviation in units of the last decimal places.
     """
     if math.isinf(sigma):
-        return NOT_IDENTIFIABLE if short else OPEN_ZERO
+        return NOT_IDENTIFIABLE if short else UNKNOWN_PLATE_ZERO
     # numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]
     if max(abs(value), sigma) < 1e-15:
         return "0"
-    if sigma <= ROUNDING * abs(value):
-        return f"{value:.9g}"  # known
-    if sigma < (EXACT_SHORT if short else EXACT) * abs(value):
+    if sigma <= RELATIVE_ROUNDING * abs(value):
+        return f"{value:.9g}"  # known exactly
+    if sigma < (MIN_SHORT_DECIMAL_RATIO if short else MIN_DECIMAL_RATIO) * abs(value):
         return f"{value:.9g} +- {sigma:.0e}"
     # decimals that show two digits of sigma
     digits = 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
     if short:
-        places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
+        sigma_digits = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
         return (
             f"{value:.{digits}f}({sigma:.1f})"
             if sigma >= 1
-            else f"{value:.{digits}f}({places})"
+            else f"{value:.{digits}f}({sigma_digits})"
         )
     return f"{value:.{digits}f} +- {sigma:.{digits}f}"
 
 
 def numbers_with_sigma(values: Array, sigma: Array, short: bool = False) -> list[str]:
-    """Values and sigmas in words, row by row of arrays of more axes.
+    """Texts of values with their standard deviations, in row-major order.
 
     Args:
-        values: Of any shape.
+        values: Values, of any shape.
         sigma: Standard deviations, of the same shape.
-        short: As of `number_with_sigma`.
+        short: Short form, as in `number_with_sigma`.
     """
     pairs = zip(values.ravel().tolist(), sigma.ravel().tolist(), strict=True)
     return [number_with_sigma(*pair, short) for pair in pairs]
@@ -155,13 +165,13 @@ def numbers_with_sigma(values: Array, sigma: Array, short: bool = False) -> list
 def parameter_rows(
     names: Sequence[str], values: Array, sigma: Array, units: Sequence[str]
 ) -> tuple[tuple[str, ...], ...]:
-    """Name, value with sigma, and unit, a row each.
+    """Table rows of parameters: name, value with standard deviation, unit.
 
     Args:
-        names: (p,).
-        values: (p,).
+        names: Parameter names, (p,).
+        values: Values, (p,).
         sigma: Standard deviations, (p,).
-        units: (p,).
+        units: Units, (p,).
     """
     pairs = zip(values.tolist(), sigma.tolist(), strict=True)
     numbers = [number_with_sigma(*pair) for pair in pairs]

@@ -1,4 +1,4 @@
-"""Inverse dynamics, linear in the parameters.
+"""Inverse dynamics, linear in the barycentric parameters.
 
 In: a `Tree` and a `Motion`.
 Out: joint forces, wrench at the base, regressors and their derivatives.

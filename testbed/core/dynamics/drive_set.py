@@ -1,9 +1,10 @@
-"""Bodies, joints and shafts together: which terms of the torques have columns of their own.
+"""Minimal set of bodies, joints and drive shafts, with redundant terms eliminated.
 
-What joints add is grouped exactly (`parameters.joint_terms`). A shaft that turns with several
-joints adds to the torques of all of them at once; whether that is a sum of what is there already is
-a matter of the geometry, too, and found at random states: an inertia of two joints with parallel
-axes may be a body's, the friction of a differential's two shafts may be that of its joints.
+Terms of single joints are regrouped exactly (`parameters.joint_terms`). A shaft that turns with
+several joints adds to the torques of all these joints. Linear dependence of its regressor column on
+the other columns is tested by least squares at random states. For example, the inertia of a shaft
+that drives two joints with parallel axes can be indistinguishable from the inertia of a body, and
+the friction of the two shafts of a differential from the friction of its joints.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from testbed.core.base.arrays import Array, readonly
+from testbed.core.base.arrays import Array, readonly_array
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.dynamics.regressor import regressor
 from testbed.core.parameters.joint_terms import DriveSet, with_joint_terms
@@ -23,7 +24,15 @@ from testbed.core.robot.tree import Tree
 
 
 def random_states(tree: Tree, seed: int = 0) -> Motion:
-    """Enough random states of a robot to identify all that can be; the first is rest at q = 0."""
+    """Random joint states, enough to identify all identifiable parameters.
+
+    The 25 + 4 n states are uniformly distributed: positions between -pi and pi rad (or -1 and 1 m),
+    velocities and accelerations between -3 and 3. The first state is at rest at q = 0.
+
+    Args:
+        tree: The robot.
+        seed: Seed of the random numbers.
+    """
     rng = np.random.default_rng(seed)
     samples = 25 + 4 * tree.n
     span = np.where([joint.revolute for joint in tree.joints], np.pi, 1.0)
@@ -33,53 +42,77 @@ def random_states(tree: Tree, seed: int = 0) -> Motion:
     return Motion(np.arange(samples, dtype=float), q, qd, qdd)
 
 
-def drive_set(
+def make_drive_set(
     tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]
 ) -> DriveSet:
-    """The minimal set of bodies, joints and shafts together, before any data.
+    """Minimal set of the parameters of bodies, joints and shafts, from geometry alone.
+
+    A term of a shaft becomes an unknown unless its torques at random states are a linear
+    combination of the torques of earlier unknowns.
 
     Args:
         tree: The robot; only its geometry and its shafts matter.
-        minimal: Its dynamic set.
-        laws: Of the torques of joints and shafts: "rotor" holds at all of them, "rotor/elbow"
-            at that one.
+        minimal: Minimal set of the bodies for joint torques.
+        laws: Torque laws of joints and shafts: "rotor" for all, "rotor/elbow" for one of them.
 
     Raises:
         UnknownName: There is no such law, joint or shaft.
     """
-    found = with_joint_terms(tree, minimal, laws)
-    more = [term for term in joint_terms(tree, laws) if term.joint >= tree.n]
-    if not more:
-        return found
-    # of the states; witnesses take others
+    joint_set = with_joint_terms(tree, minimal, laws)
+    shaft_terms = [term for term in joint_terms(tree, laws) if term.joint >= tree.n]
+    if not shaft_terms:
+        return joint_set
+    # seed of the states; checks use others
     states = random_states(tree, 20_000)
 
     def column(term: JointTerm) -> Array:
         return term_torque(tree, term, states.qd, states.qdd, states.t).ravel()
 
     rows = regressor(tree, states, minimal).reshape(-1, minimal.count)
-    every = np.column_stack([rows, *(column(term) for term in found.terms)])
-    own, made = list(found.terms), [found.columns]
-    for term in more:
-        sums, beyond = _as_a_sum(every, column(term))
-        # part of a term's column beyond all others below which it depends on them
-        if beyond > 1e-8:
-            every = np.column_stack([every, column(term)])
-            own.append(term)
-            sums = np.eye(1, every.shape[1], every.shape[1] - 1)[0]
-        made.append(sums[:, None])
-    padded = (np.pad(part, ((0, every.shape[1] - len(part)), (0, 0))) for part in made)
+    regressor_columns = np.column_stack(
+        [rows, *(column(term) for term in joint_set.terms)]
+    )
+    independent_terms, blocks = list(joint_set.terms), [joint_set.columns]
+    for term in shaft_terms:
+        coefficients, residual = _linear_combination(regressor_columns, column(term))
+        # relative residual above which a term's column is independent of the others
+        if residual > 1e-8:
+            regressor_columns = np.column_stack([regressor_columns, column(term)])
+            independent_terms.append(term)
+            coefficients = np.eye(
+                1, regressor_columns.shape[1], regressor_columns.shape[1] - 1
+            )[0]
+        blocks.append(coefficients[:, None])
+    padded = (
+        np.pad(block, ((0, regressor_columns.shape[1] - len(block)), (0, 0)))
+        for block in blocks
+    )
     columns = np.hstack([*padded])
-    fixed = readonly(columns, columns.shape, "columns")
-    return DriveSet(minimal, (*found.asked, *more), tuple(own), fixed, tree)
+    matrix = readonly_array(columns, columns.shape, "columns")
+    return DriveSet(
+        minimal,
+        (*joint_set.asked, *shaft_terms),
+        tuple(independent_terms),
+        matrix,
+        tree,
+    )
 
 
-def _as_a_sum(every: Array, column: Array) -> tuple[Array, float]:
-    """Coefficients of a column on others, and the part of it that is beyond them."""
-    size = np.linalg.norm(every, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    found = np.linalg.lstsq(every / size, column, rcond=1e-12)[0] / size
-    # coefficients of a sum, beside its largest, that are rounding
-    found = np.where(np.abs(found) > 1e-9 * np.abs(found).max(initial=0.0), found, 0.0)
-    left = np.linalg.norm(column - every @ found) / np.linalg.norm(column)
-    return np.round(found, 12), float(left)
+def _linear_combination(columns: Array, column: Array) -> tuple[Array, float]:
+    """Least-squares coefficients of a column on other columns, and the relative residual.
+
+    Args:
+        columns: The other columns, (k, p).
+        column: The column, (k,).
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    coefficients = np.linalg.lstsq(columns / scale, column, rcond=1e-12)[0] / scale
+    # coefficients that are rounding, relative to the largest
+    coefficients = np.where(
+        np.abs(coefficients) > 1e-9 * np.abs(coefficients).max(initial=0.0),
+        coefficients,
+        0.0,
+    )
+    residual = np.linalg.norm(column - columns @ coefficients) / np.linalg.norm(column)
+    return np.round(coefficients, 12), float(residual)

@@ -1,4 +1,4 @@
-"""The recursion: how bodies move, what joints transmit, in numbers or in symbols."""
+"""Recursive Newton-Euler inverse dynamics of a tree, with numbers or symbols."""
 
 from __future__ import annotations
 
@@ -9,23 +9,29 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.core.base.arrays import AnyArray, Array, apply, freeze, skew
+from testbed.core.base.arrays import (
+    AnyArray,
+    Array,
+    freeze_arrays,
+    multiply_vectors,
+    skew,
+)
 from testbed.core.base.summary_table import Value
 from testbed.core.base.transform import Transform
-from testbed.core.parameters.rules import Model
-from testbed.core.parameters.symbols import TENSOR, barycentric
-from testbed.core.robot.tree import Placement, Tree
+from testbed.core.parameters.rules import Signal
+from testbed.core.parameters.symbols import TENSOR_FROM_SIX, barycentric
+from testbed.core.robot.tree import SensorPlacement, Tree
 
 
 @dataclass(frozen=True, eq=False)
 class Motion(Value):
-    """M samples of the motion of n joints, columns in the order of `tree.names`.
+    """Motion of n joints at M samples; columns in the order of `tree.names`.
 
     Attributes:
         t: Time, (M,) [s].
         q: Joint positions, (M, n) [rad or m].
-        qd: Velocities, (M, n) [rad/s or m/s].
-        qdd: Accelerations, (M, n) [rad/s^2 or m/s^2].
+        qd: Joint velocities, (M, n) [rad/s or m/s].
+        qdd: Joint accelerations, (M, n) [rad/s^2 or m/s^2].
     """
 
     t: Array
@@ -34,19 +40,19 @@ class Motion(Value):
     qdd: Array
 
     def __post_init__(self) -> None:
-        freeze(self, t=(None,))
+        freeze_arrays(self, t=(None,))
         shape = (len(self.t), np.shape(self.q)[-1] if np.ndim(self.q) else 0)
-        freeze(self, q=shape, qd=shape, qdd=shape)
+        freeze_arrays(self, q=shape, qd=shape, qdd=shape)
 
     @staticmethod
     def at_rest(postures: Array) -> Motion:
-        """Motion at rest, one sample for each posture.
+        """Static motion with one sample per posture.
 
         Args:
             postures: Joint positions, (M, n) [rad or m].
         """
-        still = np.zeros_like(postures)
-        return Motion(np.arange(float(len(postures))), postures, still, still)
+        zeros = np.zeros_like(postures)
+        return Motion(np.arange(float(len(postures))), postures, zeros, zeros)
 
     @property
     def samples(self) -> int:
@@ -54,22 +60,22 @@ class Motion(Value):
         return len(self.t)
 
     def __getitem__(self, part: slice) -> Motion:
-        """The samples of a slice."""
+        """Motion at the samples of a slice."""
         return Motion(self.t[part], self.q[part], self.qd[part], self.qdd[part])
 
 
-Keep = Callable[[str, AnyArray], AnyArray]
-"""Function of an intermediate's name, such as "w3", and value; its result replaces the value."""
+Substitution = Callable[[str, AnyArray], AnyArray]
+"""Function of the name and value of an intermediate result, such as "w3"; returns a new value."""
 
 
-def unchanged(name: str, value: AnyArray) -> AnyArray:
-    """The value itself: numbers need no names."""
+def keep_value(name: str, value: AnyArray) -> AnyArray:
+    """Return the value unchanged: default for computations with numbers."""
     del name
     return value
 
 
-class Link(Protocol):
-    """A joint's geometry: a `Joint`, or one whose lengths and axes are symbols."""
+class LinkGeometry(Protocol):
+    """Geometry of a joint: a `Joint`, or symbolic lengths and axes."""
 
     @property
     def parent(self) -> int:
@@ -77,7 +83,7 @@ class Link(Protocol):
 
     @property
     def revolute(self) -> bool:
-        """Whether the joint turns (else it slides)."""
+        """True for a revolute joint, False for a prismatic joint."""
 
     @property
     def axis(self) -> AnyArray:
@@ -85,37 +91,37 @@ class Link(Protocol):
 
     @property
     def offset(self) -> AnyArray:
-        """From O^i to the joint's attachment point, frame i, (3,)."""
+        """Position of the joint's attachment point relative to O^i, in frame i, (3,) [m]."""
 
     @property
     def rotation(self) -> AnyArray:
-        """From frame j at q = 0 to frame i, (3, 3)."""
+        """Rotation matrix from frame j at q = 0 to frame i, (3, 3)."""
 
 
-class Skeleton(Protocol):
-    """A tree's geometry: a `Tree`, or one on paper."""
+class TreeGeometry(Protocol):
+    """Geometry of a tree: a `Tree`, or symbolic lengths and axes."""
 
     @property
     def n(self) -> int:
         """Number of joints."""
 
     @property
-    def joints(self) -> Sequence[Link]:
-        """One a body, parents first."""
+    def joints(self) -> Sequence[LinkGeometry]:
+        """Geometry of each joint, parents first."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """The motion of body j in frame j; leading axes are samples.
+    """Rotation, velocity and acceleration of body j in frame j; leading axes are samples.
 
     Attributes:
-        R_PB: Rotation from the body's frame B to its carrier's, the parent P, (..., 3, 3).
-        z: Displacement of a prismatic joint, zero for a revolute one, (..., 3) [m].
+        R_PB: Rotation from the body's frame B to its carrier's frame P, (..., 3, 3).
+        z: Displacement of a prismatic joint, zero for a revolute joint, (..., 3) [m].
         zdd: Absolute second derivative of z, (..., 3) [m/s^2].
         w: Angular velocity, (..., 3) [rad/s].
         wd: Angular acceleration, (..., 3) [rad/s^2].
-        W: wd~ + w~ w~, (..., 3, 3) [1/s^2].
-        a: xdd^j - g, acceleration of O^j less gravity, (..., 3) [m/s^2].
+        W: Matrix wd~ + w~ w~ with w~ v = w x v, (..., 3, 3) [1/s^2].
+        a: Acceleration of the frame's origin O^j minus gravity, xdd^j - g, (..., 3) [m/s^2].
     """
 
     R_PB: AnyArray
@@ -127,88 +133,113 @@ class BodyMotion:
     a: AnyArray
 
 
-def kinematics(
-    tree: Skeleton,
+def forward_recursion(
+    tree: TreeGeometry,
     q: AnyArray,
     qd: AnyArray,
     qdd: AnyArray,
     gravity: AnyArray,
-    keep: Keep = unchanged,
+    substitute: Substitution = keep_value,
 ) -> tuple[BodyMotion, ...]:
-    """The motion of every body of the tree.
+    """Motion of every body by the forward recursion, [FRS96].
 
     Args:
-        tree: The robot's geometry.
+        tree: Geometry of the robot.
         q: Joint positions, (..., n) [rad or m], numbers or symbols.
-        qd: Joint velocities, likewise.
-        qdd: Joint accelerations, likewise.
+        qd: Joint velocities, (..., n).
+        qdd: Joint accelerations, (..., n).
         gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
-        keep: Called on each intermediate.
+        substitute: Function that replaces each intermediate result, for example by a symbol.
     """
-    still = np.zeros((*q.shape[:-1], 3), dtype=q.dtype)
-    flat = np.zeros((*q.shape[:-1], 3, 3), dtype=q.dtype)
-    bedplate = BodyMotion(flat, still, still, still, still, flat, still - gravity)
-    moving: list[BodyMotion] = []
+    zeros = np.zeros((*q.shape[:-1], 3), dtype=q.dtype)
+    zero_matrices = np.zeros((*q.shape[:-1], 3, 3), dtype=q.dtype)
+    bedplate = BodyMotion(
+        zero_matrices, zeros, zeros, zeros, zeros, zero_matrices, zeros - gravity
+    )
+    motions: list[BodyMotion] = []
     for j, joint in enumerate(tree.joints):
-        carrier = bedplate if joint.parent < 0 else moving[joint.parent]
-        moving.append(
-            _step(joint, j, carrier, q[..., j], qd[..., j], qdd[..., j], keep)
+        carrier = bedplate if joint.parent < 0 else motions[joint.parent]
+        motions.append(
+            _body_motion(
+                joint, j, carrier, q[..., j], qd[..., j], qdd[..., j], substitute
+            )
         )
-    return tuple(moving)
+    return tuple(motions)
 
 
-def poses(tree: Skeleton, q: Array) -> list[Transform]:
-    """Poses X_WB of every body in the bedplate frame W, M of each.
+def poses(tree: TreeGeometry, q: Array) -> list[Transform]:
+    """Pose X_WB of every body in the bedplate frame W, at M samples.
 
     Args:
-        tree: The robot's geometry.
+        tree: Geometry of the robot.
         q: Joint positions, (M, n) [rad or m].
     """
     X_WB: list[Transform] = []
     for joint, position in zip(tree.joints, q.T, strict=True):
         R_PB = _rotation(joint, position)
-        z = _along(joint.axis, 0.0 * position if joint.revolute else position)
-        X_PB = Transform(R_PB, joint.offset + apply(R_PB, z))
+        z = _scaled_vectors(joint.axis, 0.0 * position if joint.revolute else position)
+        X_PB = Transform(R_PB, joint.offset + multiply_vectors(R_PB, z))
         X_WB.append(X_PB if joint.parent < 0 else X_WB[joint.parent] @ X_PB)
     return X_WB
 
 
-def _step(
-    joint: Link,
+def _body_motion(
+    joint: LinkGeometry,
     j: int,
     carrier: BodyMotion,
     q: AnyArray,
     qd: AnyArray,
     qdd: AnyArray,
-    keep: Keep,
+    substitute: Substitution,
 ) -> BodyMotion:
-    """From body i to body j."""
-    e, label = joint.axis, str(j + 1)
+    """Motion of body j from the motion of its carrier, body i.
+
+    Args:
+        joint: Geometry of the joint.
+        j: Index of the body, for the names of intermediate results.
+        carrier: Motion of body i.
+        q: Joint position, (...).
+        qd: Joint velocity, (...).
+        qdd: Joint acceleration, (...).
+        substitute: Function that replaces each intermediate result.
+    """
+    e, number = joint.axis, str(j + 1)
     R_PB = _rotation(joint, q)
     R_BP = np.swapaxes(R_PB, -1, -2)
-    w, wd = apply(R_BP, carrier.w), apply(R_BP, carrier.wd)
-    point = apply(R_BP, carrier.a + apply(carrier.W, joint.offset))  # xdd - g of O'^j
-    speed, rate = _along(e, qd), _along(e, qdd)
+    w, wd = multiply_vectors(R_BP, carrier.w), multiply_vectors(R_BP, carrier.wd)
+    point = multiply_vectors(
+        R_BP, carrier.a + multiply_vectors(carrier.W, joint.offset)
+    )  # xdd - g of O'^j
+    speed, rate = _scaled_vectors(e, qd), _scaled_vectors(e, qdd)
     if joint.revolute:
-        wd = keep("wd" + label, wd + apply(skew(w), speed) + rate)
-        w = keep("w" + label, w + speed)
+        wd = substitute("wd" + number, wd + multiply_vectors(skew(w), speed) + rate)
+        w = substitute("w" + number, w + speed)
         z = zdd = np.zeros_like(w)
     else:
-        w, wd = keep("w" + label, w), keep("wd" + label, wd)
-        z = _along(e, q)
-        whirl = skew(wd) + skew(w) @ skew(w)
-        zdd = keep("zdd" + label, apply(whirl, z) + 2 * apply(skew(w), speed) + rate)
-    W = keep("W" + label, skew(wd) + skew(w) @ skew(w))
-    return BodyMotion(R_PB, z, zdd, w, wd, W, keep("a" + label, point + zdd))
+        w, wd = substitute("w" + number, w), substitute("wd" + number, wd)
+        z = _scaled_vectors(e, q)
+        acceleration_matrix = skew(wd) + skew(w) @ skew(w)
+        zdd = substitute(
+            "zdd" + number,
+            multiply_vectors(acceleration_matrix, z)
+            + 2 * multiply_vectors(skew(w), speed)
+            + rate,
+        )
+    W = substitute("W" + number, skew(wd) + skew(w) @ skew(w))
+    return BodyMotion(R_PB, z, zdd, w, wd, W, substitute("a" + number, point + zdd))
 
 
-def _along(e: AnyArray, scalar: AnyArray) -> AnyArray:
-    """Scalar times e.  scalar: (...); returns (..., 3)."""
+def _scaled_vectors(e: AnyArray, scalar: AnyArray) -> AnyArray:
+    """Product of scalars, (...), and a vector e, (3,); shape (..., 3)."""
     return np.asarray(scalar)[..., None] * e
 
 
-def _rotation(joint: Link, q: AnyArray) -> AnyArray:
-    """R_PB: A, times Rot(e, q) = e e' + c (1 - e e') + s e~ if revolute."""
+def _rotation(joint: LinkGeometry, q: AnyArray) -> AnyArray:
+    """Rotation R_PB from the body frame to the carrier frame, (..., 3, 3).
+
+    R_PB is A Rot(e, q) for a revolute joint and A for a prismatic joint, where A is the rotation at
+    q = 0 and Rot(e, q) = e e' + cos(q) (1 - e e') + sin(q) e~.
+    """
     if not joint.revolute:
         fixed = np.broadcast_to(joint.rotation, (*np.shape(q), 3, 3))
         return fixed.astype(np.asarray(q).dtype)
@@ -219,62 +250,64 @@ def _rotation(joint: Link, q: AnyArray) -> AnyArray:
     return R_PB
 
 
-def transmitted(
-    tree: Skeleton,
-    moving: Sequence[BodyMotion],
+def backward_recursion(
+    tree: TreeGeometry,
+    motions: Sequence[BodyMotion],
     theta: AnyArray,
-    keep: Keep = unchanged,
-    sensor: Placement | None = None,
+    substitute: Substitution = keep_value,
+    sensor: SensorPlacement | None = None,
     base: int = -1,
 ) -> tuple[AnyArray, AnyArray]:
-    """Joint forces and the wrench that is measured.
+    """Joint forces and the measured wrench by the backward recursion, [FRS96].
 
     Args:
-        tree: The robot's geometry.
-        moving: The motion of its bodies.
-        theta: Barycentric parameters, (n, 10, p).
-        keep: Called on each intermediate.
-        sensor: Where the wrench is measured; None for the bedplate.
-        base: Index of the body that a sensor moves with.
+        tree: Geometry of the robot.
+        motions: Motion of each body.
+        theta: Barycentric parameters mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz, (n, 10, p).
+        substitute: Function that replaces each intermediate result.
+        sensor: Placement of the force sensor; None for the bedplate.
+        base: Index of the body that carries the sensor, -1 for the bedplate.
 
     Returns:
-        Q, what the motors deliver, (..., n, p) [N m or N], and the wrench of the bedplate
-        on the robot about O^0 in bedplate axes, force first, (..., 6, p) [N, N m]; of a sensor,
-        about its origin in its axes.
+        Joint forces Q, exerted by the motors, (..., n, p) [N m or N]; and the wrench of the
+        bedplate on the robot about O^0 along the bedplate's axes, force first, (..., 6, p)
+        [N, N m], or with a sensor the wrench about the sensor's origin along its axes.
     """
-    lead, p = moving[0].w.shape[:-1], theta.shape[-1]
-    dtype = np.result_type(moving[0].w.dtype, theta.dtype)
-    # what children pass on to P
-    force = np.zeros((tree.n + 1, *lead, 3, p), dtype=dtype)
-    moment = np.zeros_like(force)  # and to L; the last of each is the bedplate's
-    whole = np.zeros_like(force[-1])  # F_0: to the bedplate children pass on F^j itself
-    efforts: list[AnyArray] = [whole] * tree.n
+    sample_shape, p = motions[0].w.shape[:-1], theta.shape[-1]
+    dtype = np.result_type(motions[0].w.dtype, theta.dtype)
+    # sums of the forces and moments of the children, on each carrier
+    force = np.zeros((tree.n + 1, *sample_shape, 3, p), dtype=dtype)
+    moment = np.zeros_like(force)  # the last of each is for the bedplate
+    measured_wrench = np.zeros_like(force[-1])  # F_0 is the sum of F^j, uncorrected
+    efforts: list[AnyArray] = [measured_wrench] * tree.n
     for j in reversed(range(tree.n)):
-        joint, body = tree.joints[j], moving[j]
-        own = own_wrench(body) @ theta[j]  # (..., 6, p)
-        F = keep(f"F{j + 1}", own[..., :3, :] + force[j])
-        L = own[..., 3:, :] + moment[j]
+        joint, body = tree.joints[j], motions[j]
+        body_wrench = body_regressor(body) @ theta[j]  # (..., 6, p)
+        F = substitute(f"F{j + 1}", body_wrench[..., :3, :] + force[j])
+        L = body_wrench[..., 3:, :] + moment[j]
         if not joint.revolute:
             L = L + skew(body.z) @ F
-        L = keep(f"L{j + 1}", L)
+        L = substitute(f"L{j + 1}", L)
         if j == base:
-            whole = np.concatenate([F, L - skew(body.z) @ F], axis=-2)
+            measured_wrench = np.concatenate([F, L - skew(body.z) @ F], axis=-2)
         efforts[j] = np.tensordot(L if joint.revolute else F, joint.axis, (-2, 0))
-        # the carrier's parameters hold the child's mass at O'^j already: pass on the rest
-        passed = F - body.a[..., None] * theta[j, 0] + body.zdd[..., None] * theta[j, 0]
+        # less the inertial force of the mass, which the carrier's parameters include at O'^j
+        carrier_force = (
+            F - body.a[..., None] * theta[j, 0] + body.zdd[..., None] * theta[j, 0]
+        )
         i = joint.parent
-        passed = body.R_PB @ (passed if i >= 0 else F)
-        force[i] += passed
-        moment[i] += skew(joint.offset) @ passed + body.R_PB @ L
+        carrier_force = body.R_PB @ (carrier_force if i >= 0 else F)
+        force[i] += carrier_force
+        moment[i] += skew(joint.offset) @ carrier_force + body.R_PB @ L
     if base < 0:
-        whole = np.concatenate([force[-1], moment[-1]], axis=-2)
+        measured_wrench = np.concatenate([force[-1], moment[-1]], axis=-2)
     if sensor is not None:
-        whole = sensor.X_BS.inverse.wrench_matrix @ whole
-    return np.stack(efforts, axis=-2), whole
+        measured_wrench = sensor.X_BS.inverse.wrench_matrix @ measured_wrench
+    return np.stack(efforts, axis=-2), measured_wrench
 
 
-def sensor_pose(tree: Tree, q: Array) -> Transform:
-    """Poses X_WS of what measures the wrench in the bedplate frame W, M of them.
+def sensor_poses(tree: Tree, q: Array) -> Transform:
+    """Pose X_WS of the wrench sensor in the bedplate frame W, at M samples.
 
     Args:
         tree: The robot.
@@ -284,106 +317,130 @@ def sensor_pose(tree: Tree, q: Array) -> Transform:
 
 
 def _sensor_poses(
-    tree: Tree, q: Array, sensors: Sequence[Placement | None]
+    tree: Tree, q: Array, sensors: Sequence[SensorPlacement | None]
 ) -> list[Transform]:
-    """Pose X_WS of each sensor in the bedplate frame W, M of them; None is the bedplate."""
-    still = Transform(np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3)))
-    moving = poses(tree, q) if any(at and at.body >= 0 for at in sensors) else []
-    found = []
-    for at in sensors:
-        X_WB = still if at is None or at.body < 0 else moving[at.body]
-        found.append(X_WB if at is None else X_WB @ at.X_BS)
-    return found
+    """Pose X_WS of each sensor in the bedplate frame W, at M samples.
+
+    Args:
+        tree: The robot.
+        q: Joint positions, (M, n) [rad or m].
+        sensors: Placements of the sensors; None for the bedplate.
+    """
+    identity = Transform(
+        np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+    )
+    body_poses = (
+        poses(tree, q) if any(sensor and sensor.body >= 0 for sensor in sensors) else []
+    )
+    X_WS = []
+    for sensor in sensors:
+        X_WB = (
+            identity if sensor is None or sensor.body < 0 else body_poses[sensor.body]
+        )
+        X_WS.append(X_WB if sensor is None else X_WB @ sensor.X_BS)
+    return X_WS
 
 
 def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
-    """Wrench transforms from each of a tree's next force sensors to the tree's own.
+    """Transforms of wrenches from the sensors at a tree's cuts to the tree's sensor.
 
     Args:
-        tree: What lies between force sensors.
+        tree: Part of a robot between force sensors.
         q: Joint positions, (M, n) [rad or m].
 
     Returns:
-        By sensor, (M, 6, 6): takes a wrench about its origin along its axes, force first.
+        Wrench transforms by name of the cut, (M, 6, 6), for wrenches about the sensor's origin
+        along its axes, force first.
     """
-    X_WS, *following = _sensor_poses(tree, q, [tree.sensor, *tree.cuts])
-    pairs = zip(tree.cuts, following, strict=True)
+    X_WS, *X_WC_of_cuts = _sensor_poses(tree, q, [tree.sensor, *tree.cuts])
+    pairs = zip(tree.cuts, X_WC_of_cuts, strict=True)
     return {cut.name: (X_WS.inverse @ X_WC).wrench_matrix for cut, X_WC in pairs}
 
 
-def own_wrench(body: BodyMotion) -> AnyArray:
-    """Wrench about O^j of one augmented body per barycentric parameter, (..., 6, 10).
+def body_regressor(body: BodyMotion) -> AnyArray:
+    """Regressor of the wrench about O^j that moves one augmented body, (..., 6, 10).
 
-    F = mbar a + W mb;  L = mb x a + K wd + w x K w.
+    The columns belong to mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz; the rows are force, then moment,
+    along the axes of frame j. The Newton-Euler equations are linear in these parameters:
+        F = mbar a + W mb
+        L = mb x a + K wd + w x K w
     """
-    top = np.concatenate(
+    force_rows = np.concatenate(
         [body.a[..., None], body.W, np.zeros((*body.w.shape, 6), dtype=body.w.dtype)],
         axis=-1,
     )
-    spin = np.tensordot(body.wd, TENSOR, (-1, 1)) + skew(body.w) @ np.tensordot(
-        body.w, TENSOR, (-1, 1)
+    inertia_columns = np.tensordot(body.wd, TENSOR_FROM_SIX, (-1, 1)) + skew(
+        body.w
+    ) @ np.tensordot(body.w, TENSOR_FROM_SIX, (-1, 1))
+    moment_rows = np.concatenate(
+        [np.zeros_like(body.a[..., None]), -skew(body.a), inertia_columns], axis=-1
     )
-    bottom = np.concatenate(
-        [np.zeros_like(body.a[..., None]), -skew(body.a), spin], axis=-1
-    )
-    return np.concatenate([top, bottom], axis=-2)
+    return np.concatenate([force_rows, moment_rows], axis=-2)
 
 
-BLOCK = 1024
-"""Samples taken at once."""
+BLOCK_SAMPLES = 1024
+"""Largest number of samples processed at once."""
 
 
 def joint_forces(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
-    """What the motors deliver at the joints, friction excluded, (M, n) [N m or N].
+    """Inverse dynamics: joint forces of the motors, friction excluded, (M, n) [N m or N].
 
-    [FRS96] eqs. (6), (7), (20), (34): inverse dynamics.
+    [FRS96] eqs. (6), (7), (20), (34).
 
     Args:
         tree: The robot.
         motion: M samples, columns in the order of `tree.names`.
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default the model file's.
     """
-    return linear(tree, motion, barycentric(tree)[..., None], gravity)[0][..., 0]
+    return linear_inverse_dynamics(tree, motion, barycentric(tree)[..., None], gravity)[
+        0
+    ][..., 0]
 
 
 def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
     """Wrench of the bedplate on the moving bodies, (M, 6) [N, N m].
 
-    Force first, bedplate axes, moment about O^0; the pedestal is not included. [FRS96]
-    eqs. (6), (7) for the first joints.
+    Force first, along the bedplate's axes, moment about O^0; the pedestal is not included. For a
+    tree with a force sensor, the wrench is that of the sensor, about its origin and along its axes.
+    [FRS96] eqs. (6), (7).
 
     Args:
         tree: The robot.
         motion: M samples, columns in the order of `tree.names`.
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default the model file's.
     """
-    return linear(tree, motion, barycentric(tree)[..., None], gravity)[1][..., 0]
+    return linear_inverse_dynamics(tree, motion, barycentric(tree)[..., None], gravity)[
+        1
+    ][..., 0]
 
 
 def parameter_regressor(
-    tree: Tree, motion: Motion, model: Model, gravity: ArrayLike | None = None
+    tree: Tree, motion: Motion, model: Signal, gravity: ArrayLike | None = None
 ) -> Array:
-    """The regressor on all barycentric parameters, (M, n or 6, 10 n).
+    """Regressor of joint forces or base wrench on all barycentric parameters, (M, n or 6, 10 n).
+
+    Columns are in the order mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz, body by body.
 
     Args:
         tree: The robot; only its geometry matters.
         motion: M samples, columns in the order of `tree.names`.
-        model: "dynamic" for joint forces, "reaction" for the base wrench.
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        model: "torque" for joint forces, "wrench" for the base wrench.
+        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default the model file's.
     """
     theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-    joints, base = linear(tree, motion, theta, gravity)
-    return joints if model == "dynamic" else base
+    joints, base = linear_inverse_dynamics(tree, motion, theta, gravity)
+    return joints if model == "torque" else base
 
 
 def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
-    """What is measured of the pedestal, which does not move, (6,) [N, N m].
+    """Static wrench that the bedplate or the force sensor exerts on the pedestal, (6,) [N, N m].
 
-    By the bedplate, or by a force sensor that carries a part of it.
+    The pedestal is the part of the robot that does not move; a force sensor may carry some of it.
+    The wrench is force first, in the frame of the bedplate or of the sensor.
 
     Args:
         tree: The robot.
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default the model file's.
     """
     g = tree.gravity_or(gravity)
     pedestal = tree.pedestal
@@ -391,21 +448,25 @@ def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
     return wrench if tree.sensor is None else tree.sensor.X_BS.inverse.wrench(wrench)
 
 
-def blocks(samples: int, size: int = BLOCK) -> Iterator[slice]:
+def sample_slices(samples: int, size: int = BLOCK_SAMPLES) -> Iterator[slice]:
     """Consecutive slices of at most `size` samples."""
     return (slice(first, first + size) for first in range(0, samples, size))
 
 
-def linear(
+def linear_inverse_dynamics(
     tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Joint forces (M, n, p) and base wrench (M, 6, p) of p sets of parameters.
+    """Joint forces, (M, n, p), and base wrench, (M, 6, p), for p sets of parameters.
+
+    Inverse dynamics is linear in the parameters, so a column of `theta` may be the parameters of a
+    robot or a direction in parameter space. Frames and signs are as in `joint_forces` and
+    `base_wrench`.
 
     Args:
         tree: The robot; only its geometry matters.
         motion: M samples, columns in the order of `tree.names`.
-        theta: Barycentric parameters, (n, 10, p).
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        theta: Barycentric parameters mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz, (n, 10, p).
+        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2]; default the model file's.
     """
     if motion.q.shape[1] != tree.n:
         raise ValueError(f"a motion of {motion.q.shape[1]} joints, a robot of {tree.n}")
@@ -413,11 +474,11 @@ def linear(
     joints, base = (
         np.empty((motion.samples, rows, theta.shape[-1])) for rows in (tree.n, 6)
     )
-    for part in blocks(motion.samples):
-        at = motion[part]
-        joints[part], base[part] = transmitted(
+    for part in sample_slices(motion.samples):
+        block = motion[part]
+        joints[part], base[part] = backward_recursion(
             tree,
-            kinematics(tree, at.q, at.qd, at.qdd, g),
+            forward_recursion(tree, block.q, block.qd, block.qdd, g),
             theta,
             sensor=tree.sensor,
             base=tree.sensor_body,

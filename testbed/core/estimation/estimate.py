@@ -1,20 +1,20 @@
-"""What one method found, with its structure: values, sigmas, residuals, as values and as text."""
+"""Estimate of the minimal parameters by one method: values, covariance, residuals, diagnostics."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.codec import TableSchema
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, sentences
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.base.summary_table import SummaryTable
-from testbed.core.estimation.information import Information, added
+from testbed.core.estimation.information import Information, information_sum
 from testbed.core.estimation.model_errors.estimates import (
     ModelErrorCorrection,
     ModelErrorEffect,
@@ -29,109 +29,111 @@ from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.rules import Signal
-from testbed.core.recordings.columns import AXES, PLATE_UNITS
+from testbed.core.recordings.columns import WRENCH_COMPONENTS, WRENCH_UNITS
 from testbed.core.robot.joint_law import JointLaw
-from testbed.core.robot.shafts import places
+from testbed.core.robot.shafts import joint_and_shaft_names
 from testbed.core.robot.tree import Tree
 
-Method = Literal["external", "internal"]
-
-METHODS: tuple[Method, ...] = ("external", "internal")
-"""By the bedplate's wrench, and by the joint torques."""
-
-NAMES: Mapping[str, str] = {"external": "force plate", "internal": "joint torques"}
-"""What people call the methods."""
-
-SIGNAL_OF: Mapping[Method, Signal] = {"external": "wrench", "internal": "torque"}
-"""What a method needs of a recording besides positions."""
+METHOD_LABELS: Mapping[str, str] = {"wrench": "force plate", "torque": "joint torques"}
+"""Label of each method in texts, by method."""
 
 
-SENSOR = "force sensor"
-"""What people call one that is in the robot."""
+ROBOT_SENSOR_LABEL = "force sensor"
+"""Label of a force sensor inside the robot."""
 
 
-def sensor_of(tree: Tree) -> str:
-    """What a person calls the force sensor that is not the plate; "" for the plate.
+def robot_sensor_label(tree: Tree) -> str:
+    """Display label of the robot's force sensor, or "" for the force plate.
 
     Args:
-        tree: What the wrench is of.
+        tree: Robot whose wrench is measured.
     """
-    return "" if tree.sensor is None else SENSOR
+    return "" if tree.sensor is None else ROBOT_SENSOR_LABEL
 
 
-def instrument_of(minimal: MinimalSet, method: Method) -> str:
-    """What a person calls that by which a minimal set was measured.
+def instrument_label(minimal: MinimalSet, method: Signal) -> str:
+    """Label of the instrument that measured the data of a minimal set.
 
     Args:
-        minimal: The set.
-        method: By which it was estimated.
+        minimal: Minimal set.
+        method: Method of the estimate.
     """
-    return SENSOR if minimal.of_sensor else NAMES[method]
+    return ROBOT_SENSOR_LABEL if minimal.of_sensor else METHOD_LABELS[method]
 
 
-MATTERS = 1e-4
-"""Part of the like channels' signals below which a residual is of no matter."""
+NEGLIGIBLE_FRACTION = 1e-4
+"""Largest negligible residual, relative to the largest signal of the same unit."""
 
 
-def channels_of(tree: Tree, method: Method) -> tuple[str, ...]:
-    """What a method measures: the plate's six components, or the joints' torques.
+def channel_names(tree: Tree, method: Signal) -> tuple[str, ...]:
+    """Names of a method's channels: the wrench's six components or the joints.
 
     Args:
-        tree: The robot.
-        method: Which.
+        tree: Robot.
+        method: Method.
     """
-    return AXES if method == "external" else tree.names
+    return WRENCH_COMPONENTS if method == "wrench" else tree.names
 
 
-def channel_units(tree: Tree, method: Method) -> tuple[str, ...]:
-    """N or N m, one a channel.
+def channel_units(tree: Tree, method: Signal) -> tuple[str, ...]:
+    """Unit of each channel of a method, N or N m.
 
     Args:
-        tree: The robot.
-        method: Which channels are meant.
+        tree: Robot.
+        method: Method.
     """
-    if method == "external":
-        return PLATE_UNITS
+    if method == "wrench":
+        return WRENCH_UNITS
     return tuple("N m" if joint.revolute else "N" for joint in tree.joints)
 
 
-def matters(
-    residual: Array, signal: Array, units: Sequence[str], part: float = MATTERS
+def non_negligible_residuals(
+    residual: Array,
+    signal: Array,
+    units: Sequence[str],
+    negligible_fraction: float = NEGLIGIBLE_FRACTION,
 ) -> tuple[bool, ...]:
-    """Whether residuals are large enough to matter among channels of the same unit.
+    """True for each channel whose residual is not negligible.
+
+    A residual is compared with the largest signal among the channels of its unit.
 
     Args:
-        residual: Rms of each channel's, (C,) [N, N m]; nan where there is none.
-        signal: Rms of each channel, (C,) [N, N m]; nan where there is none.
-        units: One a channel.
-        part: Of the largest like signal beyond which a residual matters.
+        residual: Rms residual of each channel, (C,) [N, N m]; nan for a channel without samples.
+        signal: Rms measurement of each channel, (C,) [N, N m]; nan for a channel without samples.
+        units: Unit of each channel.
+        negligible_fraction: Largest negligible residual, relative to the largest signal of its
+            unit.
     """
     like = [[other == unit for other in units] for unit in units]
     largest = [np.nan_to_num(signal[same]).max() for same in like]
-    return tuple(bool(r > part * s) for r, s in zip(residual, largest, strict=True))
+    return tuple(
+        bool(r > negligible_fraction * s)
+        for r, s in zip(residual, largest, strict=True)
+    )
 
 
-def channel_label(method: Method, name: str) -> str:
-    """What a channel is called in a sentence.
+def channel_label(method: Signal, name: str) -> str:
+    """Label of a channel in a sentence, such as "channel Fx".
 
     Args:
-        method: Whose.
-        name: Of the channel.
+        method: Method of the channel.
+        name: Name of the channel.
     """
-    return f"channel {name}" if method == "external" else f"the torque of '{name}'"
+    return f"channel {name}" if method == "wrench" else f"the torque of '{name}'"
 
 
 @dataclass(frozen=True)
 class TermEstimate:
-    """One coefficient of a law of a joint's own torque.
+    """Estimated coefficient of a joint law: friction, offset or rotor inertia.
 
     Attributes:
-        law: Which law.
-        joint: The joint's name, or that of a shaft that turns with several.
-        name: `kind/JOINT`; another term of the joint that it takes up is named in it.
-        unit: Of the coefficient.
-        value: The coefficient.
-        sigma: Its standard deviation.
+        law: Law of the joint torque.
+        joint: Name of the joint, or of a shaft coupled to several joints.
+        name: `kind/JOINT`, such as "coulomb/elbow", followed by the names of any terms regrouped
+            with it.
+        unit: Unit of the coefficient.
+        value: Value of the coefficient.
+        sigma: Standard deviation of the coefficient.
     """
 
     law: JointLaw
@@ -143,29 +145,30 @@ class TermEstimate:
 
     @property
     def kind(self) -> str:
-        """The law's name."""
+        """Name of the law, such as "coulomb"."""
         return self.law.kind
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class EstimateSummary(Gaussian):
-    """Estimate by one method, without the data that it was made from.
+    """Estimate by one method, without normal equations and diagnostics.
 
-    Its parameters are the minimal ones; then, for the internal method, the joints' own terms.
-    Those that no motion separates from the plate's zero, which is not known, are not identifiable:
-    values and covariance hold together with that zero only.
+    The parameters are the minimal parameters; for joint torques, the coefficients of the joint laws
+    follow. Parameters that no motion can separate from an unknown plate bias are marked
+    unidentifiable; their values and covariance hold only together with that bias.
 
     Attributes:
-        method: "external" (bedplate) or "internal" (joint torques).
-        gravity: That was assumed, (3,) [m/s^2], bedplate frame.
-        residual: Rms residual of every channel, (channels,) [N, N m]; about its mean where the
-            channel has a constant of its own.
-        nuisances: Coefficients of sensor errors that were estimated with the parameters.
-        settings: How its recording became equations, with all that data chose.
-        correction: Model errors that every recording has; None for none.
+        method: "wrench" (force plate) or "torque" (joint torques).
+        gravity: Assumed gravity, (3,) [m/s^2], bedplate frame.
+        residual: RMS residual of each of the C channels, (C,) [N, N m]; relative to its mean for
+            channels with an estimated constant offset.
+        nuisances: Coefficients of sensor errors estimated together with the parameters.
+        settings: Settings of the estimate, including terms and filters chosen from the data.
+        correction: Coefficients of the model errors subtracted from the measurements, which
+            predict these errors in other recordings of the robot; None if none were subtracted.
     """
 
-    method: Method
+    method: Signal
     gravity: Array
     residual: Array
     nuisances: tuple[NuisanceEstimate, ...] = ()
@@ -174,11 +177,11 @@ class EstimateSummary(Gaussian):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        freeze(self, gravity=(3,), residual=(None,))
+        freeze_arrays(self, gravity=(3,), residual=(None,))
 
     @property
     def sensor_errors(self) -> dict[str, float]:
-        """Coefficients of sensor errors by name, such as "pose/rx"."""
+        """Estimated coefficients of sensor errors by name, such as "pose/rx"."""
         return {each.name: each.value for each in self.nuisances}
 
 
@@ -187,23 +190,26 @@ class Estimate(Diagnosed, EstimateSummary):
     """Estimate by one method, with residuals, tests and diagnostics.
 
     Attributes:
-        channels: The measured channels.
-        channel_units: One each, N or N m.
-        relative_residual: ||y - phi delta|| / ||y|| of each, (channels,).
-        samples: Rows used of each, (channels,).
-        condition: Of the equations with unit columns and weights.
-        normal_equations: Of all rows: other weights and subsets of channels need no other pass.
-        diagnostics: What a careful reader should know; errors where the data contradict the model.
-        minimal: The minimal set that comes first.
-        drives: That set with the joints' own terms, for the internal method.
-        joints: The joints' names.
-        noise: What the residuals are like; None where they are taken as white.
-        nuisance_covariance: Of the coefficients of sensor errors, (s, s).
-        choice: How held-out data chose the joints' terms, where they did.
-        measured_equations: Of rows as measured, where model errors are taken out of the others.
-        model_errors: Errors of the model that the residuals show, the clearest first.
-        repeatable: Part of the residuals that repeats with the motion; None where nothing is known.
-        model_error_effect: What they add to the covariance, which counts it; None for nothing.
+        channels: Names of the measured channels.
+        channel_units: Unit of each channel, N or N m.
+        relative_residual: ||y - phi delta|| / ||y|| of each channel, (C,).
+        samples: Number of rows used of each channel, (C,).
+        condition: Condition number of the weighted equations with columns of unit length.
+        normal_equations: Normal equations of all rows, channel by channel.
+        diagnostics: Warnings and errors about data and estimate.
+        minimal: Minimal set of the bodies, whose parameters come first.
+        drives: Minimal set with the joint laws, for joint torques; None for the plate.
+        joints: Names of the joints.
+        noise: Noise model of the residuals; None for white noise.
+        nuisance_covariance: Covariance of the coefficients of sensor errors, (s, s).
+        choice: Joint laws chosen by cross-validation, with the evidence; None for stated laws.
+        measured_equations: Normal equations of the uncorrected measurements, if model errors were
+            subtracted in `normal_equations`; else None.
+        model_errors: Model errors detected in the residuals, the most significant first.
+        repeatable: Part of the residuals that repeats with the motion; None if not
+            determined.
+        model_error_effect: Contribution of model errors that `covariance` includes; None without
+            model errors.
     """
 
     channels: tuple[str, ...]
@@ -227,28 +233,35 @@ class Estimate(Diagnosed, EstimateSummary):
     def __post_init__(self) -> None:
         super().__post_init__()
         c, s = len(self.channels), len(self.nuisance_covariance)
-        freeze(self, residual=(c,), relative_residual=(c,), nuisance_covariance=(s, s))
+        freeze_arrays(
+            self, residual=(c,), relative_residual=(c,), nuisance_covariance=(s, s)
+        )
 
     @cached_property
     def matters(self) -> tuple[bool, ...]:
-        """Whether each channel's residual is large enough to matter among like channels."""
-        return matters(self.residual, self.normal_equations.rms, self.channel_units)
+        """Flags of channels whose RMS residual is not negligible.
+
+        The RMS residual of such a channel exceeds 1e-4 of the largest RMS signal of the same unit.
+        """
+        return non_negligible_residuals(
+            self.residual, self.normal_equations.rms, self.channel_units
+        )
 
     def label(self, c: int) -> str:
-        """What a channel is called in a sentence."""
+        """Label of channel c in a sentence."""
         return channel_label(self.method, self.channels[c])
 
     @cached_property
     def base(self) -> Gaussian:
-        """The minimal parameters alone; a joint's term that is part of one is named in it."""
+        """Marginal distribution of the minimal parameters, without separate joint laws."""
         return self.marginal(self.names[: self.minimal.count])
 
     @cached_property
     def joint_terms(self) -> tuple[TermEstimate, ...]:
-        """The joints' own terms, law by law; none for the external method."""
+        """Estimated coefficients of the joint laws, in their order; () for the force plate."""
         if self.drives is None:
             return ()
-        names = places(self.drives.tree)
+        names = joint_and_shaft_names(self.drives.tree)
         return tuple(
             TermEstimate(
                 law=term.law,
@@ -263,22 +276,22 @@ class Estimate(Diagnosed, EstimateSummary):
 
     @property
     def instrument(self) -> str:
-        """What it was measured by."""
-        return instrument_of(self.minimal, self.method)
+        """Label of the instrument: force plate, force sensor or joint torques."""
+        return instrument_label(self.minimal, self.method)
 
     def __add__(self, other: Information | Estimate) -> Information:
-        """Sum of what both say; independent data of one robot (`Information`)."""
-        return added((self,), other)
+        """Combine with an independent estimate of the same robot by adding information matrices."""
+        return information_sum((self,), other)
 
     @property
     def summary(self) -> SummaryTable:
-        """Names, values with sigmas, units, warnings."""
-        doubt = (
+        """Table of names, values with sigmas and units, followed by warnings."""
+        reservation = (
             "; doubtful: its standard deviations do not include the errors that diagnostics name"
-            if self.doubtful
+            if self.has_errors
             else ""
         )
         table = super().summary
         warnings = (f"warning: {line}" for line in sentences(self.diagnostics))
-        head = f"{table.head} by the {self.instrument}{doubt}"
-        return replace(table, head=head, notes=tuple(warnings))
+        head = f"{table.title} by the {self.instrument}{reservation}"
+        return replace(table, title=head, notes=tuple(warnings))

@@ -14,33 +14,43 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.diagnostics import (
     Diagnostic,
-    messages,
-    of_instrument,
-    ordered,
+    message_table,
+    ordered_diagnostics,
+    worded_for_sensor,
 )
-from testbed.core.base.errors import RecordingError, SettingsError, UnseenParameters
+from testbed.core.base.errors import (
+    RecordingError,
+    SettingsError,
+    UnidentifiableParameters,
+)
 from testbed.core.base.gaussian import Gaussian
-from testbed.core.base.stages import Progress, stage
-from testbed.core.estimation.diagnostics.diagnosis import diagnostics, quality
+from testbed.core.base.stages import Progress, timed_stage
+from testbed.core.estimation.diagnostics.diagnosis import (
+    accuracy_diagnostics,
+    diagnostics,
+)
 from testbed.core.estimation.diagnostics.model_errors import (
     model_error_diagnostics,
-    repetition,
+    repetition_diagnostics,
 )
-from testbed.core.estimation.diagnostics.residuals import noisy, zero_unknown
+from testbed.core.estimation.diagnostics.residuals import (
+    has_residual_noise,
+    unidentifiable_beside_bias,
+)
 from testbed.core.estimation.diagnostics.setup import (
-    regrouped_rotors,
+    regrouped_rotor_diagnostics,
     setup_diagnostics,
 )
-from testbed.core.estimation.estimate import Estimate, Method, channel_units, sensor_of
+from testbed.core.estimation.estimate import Estimate, channel_units, robot_sensor_label
 from testbed.core.estimation.model_errors.model_errors import (
+    ModelErrorFreeSource,
     ModelErrors,
-    WithoutModelErrors,
     find_model_errors,
 )
 from testbed.core.estimation.model_errors.repetition import repeatable_error
 from testbed.core.estimation.noise.coloured_noise import (
     GlsFit,
-    bootstrap,
+    bootstrap_calibrated_fit,
     generalized_least_squares,
 )
 from testbed.core.estimation.problem import Problem
@@ -48,8 +58,8 @@ from testbed.core.estimation.regression.solvers import noise_weights, solve
 from testbed.core.estimation.selection.held_out import TermChoice
 from testbed.core.estimation.selection.position_filter import with_position_filter
 from testbed.core.estimation.selection.term_choice import (
-    with_all_terms,
-    with_fewer_terms,
+    with_chosen_terms,
+    with_distinguishable_terms,
 )
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.sensor_model import (
@@ -68,7 +78,7 @@ from testbed.sensors.errors.plate_bias import PlateBias
 def identify(
     tree: Tree,
     recording: RecordingLike,
-    method: Method | Signal = "wrench",
+    method: Signal | Signal = "wrench",
     *,
     terms: str | Sequence[str] = (),
     zeros: bool | Sequence[str] | None = None,
@@ -78,37 +88,38 @@ def identify(
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Estimate:
-    """Minimal parameters from encoder positions and one kind of force measurement.
+    """Identify minimal parameters from encoder positions and a measured wrench or joint torques.
 
-    A few passes over the samples, in constant memory; the same to the bit for any number of
-    threads and wherever the samples come from.
+    Generalised least squares takes a few passes over the samples and constant memory. The result is
+    bitwise identical for any number of threads and any kind of source.
 
     Args:
-        tree: The robot; its inertias are not used, except for `zeros`.
-        recording: In memory, or a Parquet file's path, or parts in the order of time.
-            Columns are matched by joint name; its truth is not read.
-        method: "wrench": the plate's, six rows a sample. "torque": the joints', a row a joint.
-        terms: Unknowns besides the bodies' parameters: errors of the plate by the names that a rig
-            has for them, as "plate_bias", "plate_pose"; or laws of the joints' torques, as
-            "coulomb", "viscous" (docs/identification.md). Default those of `settings`.
-        zeros: In place of `settings.zeros`.
-        gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
-            the model file's.
-        settings: How the signals are treated; default those of `Settings()`.
-        doubt: About the plate by which the recording was corrected: sigma counts it.
-        threads: How many to use; default one a processor.
-        progress: Called with samples done and samples in all.
+        tree: Robot; its inertias are not used, except for `zeros`.
+        recording: Recording in memory, path of a Parquet file, or parts in chronological order.
+            Columns are matched by joint name; the simulated truth is not read.
+        method: "wrench" for the force plate, with six rows per sample, or "torque" for joint
+            torques, with one row per joint and sample.
+        terms: Unknowns in addition to the bodies' parameters: errors of the plate, named as in a
+            rig, such as "plate_bias" or "plate_pose"; or laws of the joint torques, such as
+            "coulomb" or "viscous" (docs/identification.md). Default: terms of `settings`.
+        zeros: Replacement of `settings.zeros`.
+        gravity: Gravity in the bedplate frame, (3,) [m/s^2]; default: gravity of the recording if
+            stated, else of the model file.
+        settings: Filters, terms and known values.
+        doubt: Covariance of the plate calibration that corrected the recording; sigma includes it.
+        threads: Number of threads; default one per processor.
+        progress: Callback with the number of samples done and the total.
 
     Raises:
-        RecordingError: The recording is of another robot, too short, lacks what the method
-            needs, or holds what is no measurement.
-        UnseenParameters: The data cannot distinguish some parameters; names them.
+        RecordingError: The recording is of another robot, too short, lacks what the method needs,
+            or contains invalid values.
+        UnidentifiableParameters: The data cannot distinguish some parameters; lists their names.
     """
     require_tree(tree, "identify(robot, data)")
     if zeros is not None:
         settings = replace(settings, zeros=zeros)
     settings = settings.with_unknowns(terms)
-    problem = Problem.of(
+    problem = Problem.from_recording(
         tree,
         recording,
         method,
@@ -117,143 +128,181 @@ def identify(
         threads=threads,
         progress=progress,
     )
-    return estimate_of(problem, doubt)[1]
+    return identify_problem(problem, doubt)[1]
 
 
-def estimate_of(
+def identify_problem(
     problem: Problem,
-    doubt: CalibrationCovariance | None = None,
+    calibration: CalibrationCovariance | None = None,
     prior: Gaussian | None = None,
 ) -> tuple[Problem, Estimate]:
-    """Estimate of a problem, and the problem with the terms and the filter that data chose.
+    """Solve an estimation problem, choosing terms and filter from the data where requested.
+
+    Model errors are subtracted, and the repeatable part of the residuals is determined. Where the
+    data cannot distinguish the dry friction of a joint from its offset, their sum is estimated.
 
     Args:
         problem: Robot, recording and method.
-        doubt: As for `identify`.
-        prior: Of the bodies' parameters, beside which model errors are sought; None for none.
+        calibration: Covariance of the plate calibration, as in `identify`.
+        prior: Prior of the bodies' parameters in the search for model errors; None for no prior.
+
+    Returns:
+        Problem with the chosen terms and filter and corrected measurements, and its estimate.
 
     Raises:
-        RecordingError: As `identify`.
-        UnseenParameters: As `identify`.
+        RecordingError: As in `identify`.
+        UnidentifiableParameters: As in `identify`.
     """
-    problem, choice, chosen = prepare(problem)
+    problem, choice, filter_diagnostics = choose_terms_and_filter(problem)
     try:
-        estimate = _estimate_of(problem, doubt)
-    except UnseenParameters:
-        fewer = with_fewer_terms(problem)
-        if fewer.names == problem.names:
+        estimate = _generalized_estimate(problem, calibration)
+    except UnidentifiableParameters:
+        reduced = with_distinguishable_terms(problem)
+        if reduced.names == problem.names:
             raise
-        problem, estimate = fewer, _estimate_of(fewer, doubt)
-    problem, estimate = _beside_model_errors(problem, estimate, doubt, prior)
-    estimate = _with_repetition(problem, estimate)
-    diagnostics = of_instrument(
-        [*estimate.diagnostics, *chosen], sensor_of(problem.tree)
+        problem, estimate = reduced, _generalized_estimate(reduced, calibration)
+    problem, estimate = _corrected_for_model_errors(
+        problem, estimate, calibration, prior
+    )
+    estimate = _with_repeatable_error(problem, estimate)
+    diagnostics = worded_for_sensor(
+        [*estimate.diagnostics, *filter_diagnostics], robot_sensor_label(problem.tree)
     )
     return problem, replace(estimate, choice=choice, diagnostics=diagnostics)
 
 
-def _beside_model_errors(
+def _corrected_for_model_errors(
     problem: Problem,
     estimate: Estimate,
     doubt: CalibrationCovariance | None,
     prior: Gaussian | None,
 ) -> tuple[Problem, Estimate]:
-    """Problem without the model errors that are named, and its estimate, which counts all."""
+    """Subtract significant model errors from the measurements and estimate again.
+
+    Returns the problem with corrected measurements, and its estimate, whose covariance includes the
+    effect of all model errors. Both are returned unchanged where no model error is found, the data
+    have gross faults, residuals are negligible or the sampling times are not reliable.
+    """
     settings = problem.settings
     if not settings.model_errors or settings.row_low_pass is None:
         return problem, estimate
-    if _is_gross(estimate) or not noisy(estimate) or not problem.clock.sound:
+    if (
+        _has_gross_faults(estimate)
+        or not has_residual_noise(estimate)
+        or not problem.sampling_times.is_free_of_errors
+    ):
         return problem, estimate
-    # of signals as measured
-    faults = [d for d in estimate.diagnostics if d.code.startswith(AS_MEASURED)]
+    # diagnostics of the signals as measured
+    earlier_faults = [
+        d for d in estimate.diagnostics if d.code.startswith(SIGNAL_CODE_PREFIXES)
+    ]
     source = corrected(problem.source, problem.tree, estimate.sensor_errors)
-    offset = estimate.noise is not None and estimate.noise.bias_weight > 0.5
-    beside = (*settings.nuisances, *[PlateBias.term] * offset)
-    find = partial(find_model_errors, problem, source, estimated=beside, prior=prior)
+    has_bias = estimate.noise is not None and estimate.noise.bias_weight > 0.5
+    estimated_terms = (*settings.nuisances, *[PlateBias.term] * has_bias)
+    search = partial(
+        find_model_errors, problem, source, estimated_terms=estimated_terms, prior=prior
+    )
     with one_blas_thread():
-        errors, measured, given = find(estimate.values), None, problem
+        errors, measured, original = search(estimate.values), None, problem
         if errors is None:
             return problem, estimate
-        if errors.lasting is not None:
+        if errors.applied_correction is not None:
             measured = estimate.normal_equations
-            # again about what the first correction leaves
-            for _ in range(LINEARIZATIONS):
-                problem = _without(given, errors)
-                estimate = _estimate_of(problem, doubt)
-                kinds = [each.family for each in errors.each]
-                again = find(estimate.values, among=kinds)
-                if again is None or again.taken != errors.taken:
+            # estimate the model errors again about the corrected estimate
+            for _ in range(MAX_RELINEARIZATIONS):
+                problem = _without_model_errors(original, errors)
+                estimate = _generalized_estimate(problem, doubt)
+                kinds = [each.family for each in errors.estimates]
+                updated = search(estimate.values, kinds=kinds)
+                if updated is None or updated.corrected_kinds != errors.corrected_kinds:
                     break
-                errors = again
-            problem = _without(given, errors)
-            estimate = _estimate_of(problem, doubt)
+                errors = updated
+            problem = _without_model_errors(original, errors)
+            estimate = _generalized_estimate(problem, doubt)
         root = errors.effect.root(estimate.covariance)
         gain = errors.effect.gain(estimate.covariance)
     estimate = replace(
         estimate,
         covariance=estimate.covariance + root @ root.T,
         measured_equations=measured,
-        model_errors=errors.each,
+        model_errors=errors.estimates,
         model_error_effect=errors.effect,
-        correction=errors.lasting
-        and replace(errors.correction, gain=gain).of(errors.taken),
+        correction=errors.applied_correction
+        and replace(errors.correction, gain=gain).for_families(errors.corrected_kinds),
     )
-    known = {d.code for d in estimate.diagnostics}
-    more = [d for d in faults if d.code not in known]
-    every = [*model_error_diagnostics(estimate), *more, *estimate.diagnostics]
-    return problem, replace(estimate, diagnostics=ordered(every))
+    known_codes = {d.code for d in estimate.diagnostics}
+    signal_faults = [d for d in earlier_faults if d.code not in known_codes]
+    all_diagnostics = [
+        *model_error_diagnostics(estimate),
+        *signal_faults,
+        *estimate.diagnostics,
+    ]
+    return problem, replace(estimate, diagnostics=ordered_diagnostics(all_diagnostics))
 
 
-def _with_repetition(problem: Problem, estimate: Estimate) -> Estimate:
-    """Estimate with what of its residuals repeats with the motion."""
+def _with_repeatable_error(problem: Problem, estimate: Estimate) -> Estimate:
+    """Add to an estimate the part of the residuals that repeats with the motion.
+
+    The estimate is returned unchanged if its residuals are negligible or the sampling times are not
+    reliable.
+    """
     settings = problem.settings
     if not settings.model_errors or settings.row_low_pass is None:
         return estimate
-    if not noisy(estimate) or not problem.clock.sound:
+    if not has_residual_noise(estimate) or not problem.sampling_times.is_free_of_errors:
         return estimate
     with one_blas_thread():
-        found = repeatable_error(problem, estimate.values)
-    estimate = replace(estimate, repeatable=found)
-    every = [*estimate.diagnostics, *repetition(estimate)]
-    return replace(estimate, diagnostics=ordered(every))
+        repeatable = repeatable_error(problem, estimate.values)
+    estimate = replace(estimate, repeatable=repeatable)
+    all_diagnostics = [*estimate.diagnostics, *repetition_diagnostics(estimate)]
+    return replace(estimate, diagnostics=ordered_diagnostics(all_diagnostics))
 
 
-def _is_gross(estimate: Estimate) -> bool:
-    """Whether data contradict the model so that a search for its errors means nothing."""
+def _has_gross_faults(estimate: Estimate) -> bool:
+    """True if gross faults of the data make a search for model errors meaningless.
+
+    Gross faults are diagnostics of level "error" that describe a cause rather than a symptom,
+    except HARMLESS_CODES. Positions outside a joint's range are a gross fault only if a relative
+    residual exceeds MAX_RELATIVE_RESIDUAL.
+    """
     errors = {d.code for d in estimate.diagnostics if d.level == "error"}
-    causes = {code for code in errors if not messages()[code].symptom}
-    left = estimate.relative_residual[list(estimate.matters)].max(initial=0.0)
-    return bool(causes - HARMLESS) or ("encoder.range" in causes and left > USELESS)
+    causes = {code for code in errors if not message_table()[code].symptom}
+    residual = estimate.relative_residual[list(estimate.matters)].max(initial=0.0)
+    return bool(causes - HARMLESS_CODES) or (
+        "encoder.range" in causes and residual > MAX_RELATIVE_RESIDUAL
+    )
 
 
-def _without(problem: Problem, errors: ModelErrors) -> Problem:
-    """Problem whose recording has no model errors that are to be taken out."""
-    assert errors.lasting is not None
-    source = WithoutModelErrors(problem, problem.source, errors.values, errors.lasting)
+def _without_model_errors(problem: Problem, errors: ModelErrors) -> Problem:
+    """Problem with the correctable model errors subtracted from its measurements."""
+    assert errors.applied_correction is not None
+    source = ModelErrorFreeSource(
+        problem, problem.source, errors.values, errors.applied_correction
+    )
     return replace(problem, source=source)
 
 
-LINEARIZATIONS = 1
-"""Times that model errors are estimated anew about the corrected estimate."""
+MAX_RELINEARIZATIONS = 1
+"""Largest number of new estimates of the model errors about the corrected estimate."""
 
-USELESS = 0.5
-"""Part of a channel's signal that is left where positions are none of the robot's."""
+MAX_RELATIVE_RESIDUAL = 0.5
+"""Relative residual above which positions outside the joints' range are a gross fault."""
 
-HARMLESS = {"plate.tare", "encoder.range"}
-"""Codes of causes that need not change the forces of a motion."""
+HARMLESS_CODES = {"plate.tare", "encoder.range"}
+"""Codes of faults that need not change the forces of a motion."""
 
 
-AS_MEASURED = ("channel.", "encoder.", "torque.effort")
-"""Beginnings of codes of what single signals show."""
+SIGNAL_CODE_PREFIXES = ("channel.", "encoder.", "torque.effort")
+"""Prefixes of the codes of diagnostics of single measured signals."""
 
 
 class PreparedProblem(NamedTuple):
-    """Problem with the terms and the filter on positions that data chose.
+    """Problem with the terms and the low-pass on positions chosen from data.
 
     Attributes:
-        problem: The problem.
-        choice: Evidence for the terms; None where they were stated.
-        diagnostics: Of the filter.
+        problem: Problem with complete settings.
+        choice: Evidence for the chosen terms; None for stated terms.
+        diagnostics: Diagnostics of the low-pass on positions.
     """
 
     problem: Problem
@@ -261,24 +310,24 @@ class PreparedProblem(NamedTuple):
     diagnostics: tuple[Diagnostic, ...]
 
 
-def prepare(problem: Problem) -> PreparedProblem:
-    """Choose terms and the filter on positions by held-out data, where nobody stated them.
+def choose_terms_and_filter(problem: Problem) -> PreparedProblem:
+    """Choose joint laws and the low-pass on positions by cross-validation, where not stated.
 
     Args:
         problem: Robot, recording and method.
     """
-    problem, choice = with_all_terms(problem)
-    problem, chosen = with_position_filter(problem)
-    return PreparedProblem(problem, choice, chosen)
+    problem, choice = with_chosen_terms(problem)
+    problem, filter_diagnostics = with_position_filter(problem)
+    return PreparedProblem(problem, choice, filter_diagnostics)
 
 
-@stage("rows and their products")
+@timed_stage("rows and their products")
 def weighted_least_squares(problem: Problem, source: Source) -> LinearFit:
-    """Solution under white noise of each channel's own size.
+    """Weighted least-squares solution for white noise with a separate variance per channel.
 
     Args:
-        problem: Its terms and filters are chosen.
-        source: The recording, errors of the sensors taken back.
+        problem: Problem with chosen terms and filters.
+        source: Recording with its sensor errors corrected.
     """
     passes = problem.passes(3, source, whole=True)
     equations = problem.equations(passes)
@@ -287,43 +336,72 @@ def weighted_least_squares(problem: Problem, source: Source) -> LinearFit:
     )
 
 
-def _estimate_of(problem: Problem, doubt: CalibrationCovariance | None) -> Estimate:
-    """Y = X theta + e, e autoregressive channel by channel: generalised least squares."""
+def _generalized_estimate(
+    problem: Problem, doubt: CalibrationCovariance | None
+) -> Estimate:
+    """Estimate by generalised least squares, with an autoregressive noise model for each channel.
+
+    Sensor errors are estimated first, by Gauss-Newton; a bootstrap calibrates the covariance.
+
+    Args:
+        problem: Problem with chosen terms and filters.
+        doubt: Covariance of the plate calibration; None without a calibration.
+
+    Raises:
+        SettingsError: All minimal parameters are known zeros.
+        RecordingError: The covariance is not finite.
+    """
     if not problem.minimal.names:
         raise SettingsError(
             "identification.zeros leaves no parameter to estimate; name fewer"
         )
     with one_blas_thread():
-        model = SensorModel.of(problem, doubt)
+        model = SensorModel.from_problem(problem, doubt)
         sensors = gauss_newton(
             problem.source, partial(weighted_least_squares, problem), model
         )
         start = sensors.solution
         columns = model.columns(start.passes.plan, start.fit.values, sensors.values)
         solution = generalized_least_squares(start.fit, start.passes, columns)
-        fit = bootstrap(solution, problem.names)
+        fit = bootstrap_calibrated_fit(solution, problem.names)
         if not np.isfinite(fit.covariance).all():
             raise RecordingError(
                 "the recording holds numbers too large to compute with"
             )
-        estimate = _estimate(problem, start, fit, model, sensors.values)
+        estimate = _estimate_from_fit(problem, start, fit, model, sensors.values)
         tests = diagnostics(estimate, problem, start.passes.surveyor.survey())
-    every = [
+    all_diagnostics = [
         *setup_diagnostics(problem),
         *tests,
         *model.diagnostics(sensors),
-        *quality(estimate),
+        *accuracy_diagnostics(estimate),
     ]
-    every += regrouped_rotors(problem)
-    zero = {*zero_unknown(fit.noise), *model.with_unknown_zero}
-    unidentifiable = tuple(name for name in estimate.names if name in zero)
-    return replace(estimate, diagnostics=ordered(every), unidentifiable=unidentifiable)
+    all_diagnostics += regrouped_rotor_diagnostics(problem)
+    beside_bias = {*unidentifiable_beside_bias(fit.noise), *model.collinear_with_bias}
+    unidentifiable = tuple(name for name in estimate.names if name in beside_bias)
+    return replace(
+        estimate,
+        diagnostics=ordered_diagnostics(all_diagnostics),
+        unidentifiable=unidentifiable,
+    )
 
 
-def _estimate(
-    problem: Problem, start: LinearFit, fit: GlsFit, model: SensorModel, numbers: Array
+def _estimate_from_fit(
+    problem: Problem,
+    start: LinearFit,
+    fit: GlsFit,
+    model: SensorModel,
+    nuisance_values: Array,
 ) -> Estimate:
-    """The fit as an estimate, with the sensors' errors and score tests."""
+    """Assemble an estimate, without diagnostics, from a generalised least-squares fit.
+
+    Args:
+        problem: Problem with chosen terms and filters.
+        start: Weighted least-squares solution of the corrected recording.
+        fit: Generalised least-squares fit.
+        model: Model of the sensor errors.
+        nuisance_values: Sensor-error coefficients used to correct the recording, (s,).
+    """
     equations, signal = start.equations, start.equations.squares
     return Estimate(
         method=problem.method,
@@ -334,8 +412,10 @@ def _estimate(
         gravity=problem.tree.gravity,
         channels=equations.channels,
         channel_units=channel_units(problem.tree, problem.method),
-        residual=np.sqrt(fit.squares / np.maximum(equations.used, 1.0)),
-        relative_residual=np.sqrt(fit.squares / np.where(signal > 0, signal, 1.0)),
+        residual=np.sqrt(fit.residual_squares / np.maximum(equations.used, 1.0)),
+        relative_residual=np.sqrt(
+            fit.residual_squares / np.where(signal > 0, signal, 1.0)
+        ),
         samples=tuple(int(n) for n in equations.used),
         condition=start.fit.condition,
         normal_equations=equations,
@@ -344,7 +424,7 @@ def _estimate(
         drives=problem.drives,
         joints=problem.tree.names,
         noise=fit.noise,
-        nuisances=model.estimates(numbers, fit),
+        nuisances=model.estimates(nuisance_values, fit),
         nuisance_covariance=model.covariance(fit),
         settings=problem.settings,
     )

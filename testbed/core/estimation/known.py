@@ -8,20 +8,20 @@ from testbed.core.base.errors import SettingsError
 
 
 def parse_known(words: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """Value and sigma by name, of words such as mass=20 and gain/Fz=1+-0.001.
+    """Parse words such as mass=20+-0.01 into values and sigmas by name.
 
     Args:
-        words: As written.
+        words: Words of the command line.
 
     Raises:
-        SettingsError: A word is not of that form, two say something of one name, or a mass is none.
+        SettingsError: A word is malformed, two words have the same name, or a mass is not positive.
     """
     known: dict[str, tuple[float, float]] = {}
     for word in words:
         name, equals, numbers = word.rpartition("=")
         value, _, sigma = numbers.partition("+-")
         if name in known:
-            raise SettingsError(f"--known says {name} twice")
+            raise SettingsError(f"--known contains {name} twice")
         try:
             known[name] = float(value), float(sigma or 0.0)
         except ValueError:

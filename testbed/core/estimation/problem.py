@@ -1,11 +1,11 @@
-"""A robot and a recording of it, made ready for one method: where every estimate starts.
+"""Estimation problem: a robot, one recording of it and one method, with complete settings.
 
-Gravity, gear, base, samples, filters, terms and tare are settled here, once.
+Gravity, coupling shafts, base, samples, filters, terms and tare are set here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import filter
 from functools import cached_property
@@ -14,88 +14,96 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
-from testbed.core.base.stages import Progress, stage
-from testbed.core.dynamics.drive_set import drive_set
+from testbed.core.base.stages import Progress, timed_stage
+from testbed.core.dynamics.drive_set import make_drive_set
 from testbed.core.dynamics.newton_euler import pedestal_wrench
-from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method, channels_of
-from testbed.core.estimation.regression.normal_equations import NormalEquations, gather
+from testbed.core.estimation.estimate import channel_names
+from testbed.core.estimation.regression.normal_equations import (
+    NormalEquations,
+    assemble_normal_equations,
+)
 from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.windows import (
     ROWS_PER_CUTOFF,
-    drive_filter,
+    joint_law_filter,
     make_plan,
 )
-from testbed.core.estimation.selection.held_out import ALWAYS
+from testbed.core.estimation.selection.held_out import BASE_LAWS
 from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.kernel.layout import Layout, layout
+from testbed.core.kernel.layout import Layout, make_layout
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.core.parameters.rules import Signal
+from testbed.core.parameters.rules import SIGNALS, Signal
 from testbed.core.recordings.channels import (
     ChannelFault,
     channel_faults,
-    left_out,
+    excluded_samples,
 )
-from testbed.core.recordings.columns import check_samples, members_of
-from testbed.core.recordings.geometry import check_robot, in_its_gravity
+from testbed.core.recordings.columns import check_samples, column_members
+from testbed.core.recordings.geometry import check_robot, with_recorded_gravity
 from testbed.core.recordings.joined import Joined
-from testbed.core.recordings.repeats import without_repeated_poses
+from testbed.core.recordings.repeats import interpolate_repeated_poses
 from testbed.core.recordings.sampling_times import (
-    SOUND,
-    SamplingTimes,
-    sampling_times,
+    NO_TIMING_ERRORS,
+    SamplingTimeErrors,
+    detect_sampling_time_errors,
 )
-from testbed.core.recordings.source import RecordingLike, Source, counted, open_source
+from testbed.core.recordings.source import (
+    RecordingLike,
+    Source,
+    evaluated_samples,
+    open_source,
+)
 from testbed.core.recordings.views import (
+    adapt_to_robot,
+    has_motor_torques,
     is_imported,
-    is_of_motors,
-    on_its_base,
-    with_gear,
+    with_gear_shafts,
 )
-from testbed.core.robot.friction import BY_LOAD, OFFSET, ROTOR
+from testbed.core.robot.friction import LOAD_MULTIPLIERS, OFFSET, ROTOR
 from testbed.core.robot.tree import Tree
 
-NOTHING = "nothing"
-"""In place of channels to leave out: faulty samples count, too."""
+EXCLUDE_NOTHING = "nothing"
+"""Entry of `Settings.leave_out` that includes faulty samples, too."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One recording of a robot, by one method, before any of its samples is used.
+    """Estimation problem: robot, recording, method and settings, before any sample is used.
 
     Attributes:
-        tree: The robot under the recording's gravity, with the shafts of its gear.
-        source: The samples that count; of a robot on a free base, with the base's coordinates.
-        method: "external" or "internal".
-        settings: Complete: filters fit the sampling rate, and the terms are said ("auto" stays
-            until held-out data choose).
-        asked: Settings before that.
-        threads: How many to use; None for one a processor.
-        progress: Called with samples done and samples in all.
-        diagnostics: Of the recording's poses and channels.
-        faults: Of its channels, whose samples do not count.
-        clock: Errors of its sampling times.
+        tree: Robot with the recording's gravity and with the shafts of the recording's gear matrix.
+        source: Selected samples; for a robot on a free base, with the coordinates of the base.
+        method: "wrench" or "torque".
+        settings: Complete settings: filters fit the sampling rate, and terms are stated ("auto"
+            remains until cross-validation).
+        requested_settings: Settings as requested, before completion.
+        threads: Number of threads; None for one per processor.
+        progress: Callback with the number of samples done and the total.
+        diagnostics: Diagnostics of the recording's poses, channels and sampling times.
+        channel_faults: Faults of channels, whose samples are excluded.
+        sampling_times: Errors of the sampling times.
     """
 
     tree: Tree
     source: Source
-    method: Method
+    method: Signal
     settings: Settings
-    asked: Settings
+    requested_settings: Settings
     threads: int | None = None
     progress: Progress = lambda done, total: None
     diagnostics: tuple[Diagnostic, ...] = ()
-    faults: tuple[ChannelFault, ...] = ()
-    clock: SamplingTimes = SOUND
+    channel_faults: tuple[ChannelFault, ...] = ()
+    sampling_times: SamplingTimeErrors = NO_TIMING_ERRORS
 
     @classmethod
-    def of(
+    def from_recording(
         cls,
         tree: Tree,
         recording: RecordingLike,
-        method: Method | Signal,
+        method: Signal | Signal,
         settings: Settings = DEFAULTS,
         *,
         gravity: ArrayLike | None = None,
@@ -103,112 +111,117 @@ class Problem:
         progress: Progress = lambda done, total: None,
         knows_load: bool = False,
     ) -> Problem:
-        """A robot and a recording made ready.
+        """Set up the problem of a robot and its recording.
 
         Args:
-            tree: The robot; its inertias are not used, except for `settings.zeros`.
-            recording: Columns are matched by joint name; its truth is not read.
-            method: Needs the wrench, or the torques.
-            settings: How the signals are treated; default those of `Settings()`.
-            gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
-                the tree's.
-            threads: How many to use; default one a processor.
-            progress: Called with samples done and samples in all.
-            knows_load: Whether the bodies will be known, for laws of the load.
+            tree: Robot; its inertias are not used, except for `settings.zeros`.
+            recording: Recording, whose columns are matched by joint name; its truth is not read.
+            method: "wrench", which requires the measured wrench, or "torque", which requires the
+                joint torques.
+            settings: Filters, terms and known values.
+            gravity: Gravity in the bedplate frame, (3,) [m/s^2]; default: gravity of the recording
+                if stated, else of the tree.
+            threads: Number of threads; default one per processor.
+            progress: Callback with the number of samples done and the total.
+            knows_load: True if the bodies' parameters will be known, as load-dependent joint laws
+                require.
 
         Raises:
             RecordingError: The recording is of another robot, or lacks what the method needs.
-            SettingsError: A span of time is said of several recordings.
+            SettingsError: A time span is stated for several recordings.
+            UnknownName: The method, or a channel to be excluded, does not exist.
         """
-        by_signal: Mapping[str, Method] = {SIGNAL_OF[each]: each for each in METHODS}
-        method = by_signal.get(method, method)
-        if method not in METHODS:
-            raise UnknownName("signal", method, by_signal)
-        based = on_its_base(samples_of(recording, settings), tree)
-        source, repeated = without_repeated_poses(based)
+        if method not in SIGNALS:
+            raise UnknownName("signal", method, SIGNALS)
+        base_source = adapt_to_robot(selected_samples(recording, settings), tree)
+        source, repeated = interpolate_repeated_poses(base_source)
         check_source(source, tree, method)
-        tree = with_gear(in_its_gravity(tree, source, gravity), source)
-        complete = _complete(settings, tree, source, method)
-        by_load = BY_LOAD if knows_load or method == "external" else ()
-        lacking = {law.by for law in complete.laws} - {"", *source.signals, *by_load}
-        if lacking:
+        tree = with_gear_shafts(with_recorded_gravity(tree, source, gravity), source)
+        complete = _completed_settings(settings, tree, source, method)
+        load_inputs = LOAD_MULTIPLIERS if knows_load or method == "wrench" else ()
+        missing_inputs = {law.by for law in complete.laws} - {
+            "",
+            *source.signals,
+            *load_inputs,
+        }
+        if missing_inputs:
             raise RecordingError(
-                f"the recording has no {lacking.pop()}, which the terms need"
+                f"the recording has no {missing_inputs.pop()}, which the terms need"
             )
         diagnostics = (
-            (diagnose("encoder.interpolated", "the poses", repeated),)
+            (make_diagnostic("encoder.interpolated", "the poses", repeated),)
             if repeated
             else ()
         )
-        check_left_out(source, settings)
+        check_excluded_channels(source, settings)
         faults: tuple[ChannelFault, ...] = ()
-        if is_imported(source) and NOTHING not in settings.leave_out:
-            faults = channel_faults(source, torques=method == "internal")
-        clock = sampling_times(source)
-        found = (each.diagnostic for each in faults)
-        diagnostics = (*diagnostics, *found, *clock.diagnostics())
+        if is_imported(source) and EXCLUDE_NOTHING not in settings.leave_out:
+            faults = channel_faults(source, torques=method == "torque")
+        clock = detect_sampling_time_errors(source)
+        channel_diagnostics = (each.diagnostic for each in faults)
+        diagnostics = (*diagnostics, *channel_diagnostics, *clock.diagnostics())
         return cls(
             tree=tree,
             source=source,
             method=method,
             settings=complete,
-            asked=settings,
+            requested_settings=settings,
             threads=threads,
             progress=progress,
             diagnostics=diagnostics,
-            faults=faults,
-            clock=clock,
+            channel_faults=faults,
+            sampling_times=clock,
         )
 
     def with_settings(self, **changes: Any) -> Problem:
-        """The same with some settings changed.
+        """Problem with some settings changed.
 
         Args:
-            **changes: Of `Settings`, by name.
+            **changes: New values of fields of `Settings`, by name.
         """
         changed = replace(self, settings=replace(self.settings, **changes))
-        # all that the minimal set depends on
+        # the only settings on which the minimal set depends
         if not {"zeros", "tare"} & changes.keys():
             vars(changed)["minimal"] = self.minimal
         return changed
 
     @cached_property
     def tare(self) -> Array:
-        """What is taken off the plate's wrench, (6,) [N, N m]: the pedestal's weight."""
-        return tare_of(self.tree, self.source)
+        """Pedestal's static wrench, subtracted from the measured wrench, (6,) [N, N m]."""
+        return recording_tare(self.tree, self.source)
 
     @cached_property
     def minimal(self) -> MinimalSet:
-        """The minimal set that the method sees."""
-        return set_of(self.tree, self.method, self.settings)
+        """Minimal set that the method can identify."""
+        return method_minimal_set(self.tree, self.method, self.settings)
 
     @cached_property
     def drives(self) -> DriveSet | None:
-        """The minimal set with the joints' own terms; None for the plate."""
-        if self.method == "external":
+        """Minimal set with the joint laws; None for the force plate."""
+        if self.method == "wrench":
             return None
-        return drive_set(self.tree, self.minimal, self.settings.words)
+        return make_drive_set(self.tree, self.minimal, self.settings.words)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the unknowns, (p,)."""
+        """Names of the robot's unknowns, (p,)."""
         return self.minimal.names if self.drives is None else self.drives.names
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of the unknowns, (p,)."""
+        """Units of the robot's unknowns, (p,)."""
         return self.minimal.units if self.drives is None else self.drives.units
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The plate's six components, or the joints' names, (C,)."""
-        return channels_of(self.tree, self.method)
+        """Names of the channels, (C,): the wrench's six components or the joints."""
+        return channel_names(self.tree, self.method)
 
     @cached_property
     def layout(self) -> Layout:
-        """The robot's rows."""
+        """Layout of the regressor's rows and columns for the kernel."""
         terms = () if self.drives is None else self.drives.terms
-        return layout(self.tree.without_inertias(), self.minimal, terms)
+        return make_layout(self.tree.without_inertias(), self.minimal, terms)
 
     def passes(
         self,
@@ -218,58 +231,67 @@ class Problem:
         per_cutoff: float = ROWS_PER_CUTOFF,
         load: Array | None = None,
     ) -> Passes:
-        """Passes over the rows.
+        """Passes over the regressor rows of the recording.
 
         Args:
-            number: How many there will be.
-            source: Another form of the same samples, such as one with faults taken back.
-            whole: Whether rows near reversals count, too, if the settings do not say how near:
-                they are whitened, and single ones are no torques then.
-            per_cutoff: Rows a second per Hz of the filter on rows.
-            load: Minimal parameters, (N,), for laws of the load; None where they are not known.
+            number: Total number of passes, for progress reports.
+            source: Replacement of the problem's source, such as a recording with sensor errors
+                corrected.
+            whole: True to include rows near velocity reversals unless the settings state
+                `reversal_reach`. Whitening accounts for the friction there, but single rows then do
+                not represent joint torques.
+            per_cutoff: Rows per second, per Hz of the low-pass cutoff on rows.
+            load: Minimal parameters, (N,), for load-dependent joint laws; None if unknown.
 
         Raises:
-            RecordingError: The recording is too short, or sampled too slowly.
+            RecordingError: The recording is too short, or its sampling rate too low.
         """
         plan = make_plan(
             source or self.source, self.layout, self.tare, self.settings, per_cutoff
         )
-        channels = [f"{SIGNAL_OF[self.method]}/{name}" for name in self.channels]
-        named, reach = self.settings.leave_out, plan.taps.shape[1] // 2
-        plan = replace(plan, left_out=left_out(self.faults, channels, named, reach))
+        channels = [f"{self.method}/{name}" for name in self.channels]
+        excluded, reach = self.settings.leave_out, plan.motion_kernels.shape[1] // 2
+        plan = replace(
+            plan,
+            excluded_samples=excluded_samples(
+                self.channel_faults, channels, excluded, reach
+            ),
+        )
         if whole and self.settings.reversal_reach is None:
-            plan = replace(plan, rest_reach=0)
-        # friction alone is sought: what a reversal leaves would bias it
+            plan = replace(plan, reversal_reach=0)
+        # friction alone is estimated: rows near reversals would bias it
         if load is not None:
             bodies = self.layout.theta.shape[2], self.minimal.count
-            weights, nearby = drive_filter(self.settings, plan.source.rate)
+            weights, rest_reach = joint_law_filter(self.settings, plan.source.rate)
             load = self.layout.basis[: bodies[0], : bodies[1]] @ load
-            plan = replace(plan, load=load, weights=weights, rest_reach=nearby)
+            plan = replace(plan, load=load, weights=weights, reversal_reach=rest_reach)
         return Passes(plan, self.threads, self.progress, number)
 
     def equations(self, passes: Passes) -> NormalEquations:
-        """The normal equations of all rows, by one of the passes.
+        """Assemble the normal equations of all rows in one pass.
 
         Args:
-            passes: Over the rows.
+            passes: Passes over the rows.
         """
-        return gather(self.layout, self.names, self.channels, passes.sums())
+        return assemble_normal_equations(
+            self.layout, self.names, self.channels, passes.sums()
+        )
 
 
-def samples_of(recording: RecordingLike, settings: Settings) -> Source:
-    """The samples of a recording, or of several, that count.
+def selected_samples(recording: RecordingLike, settings: Settings) -> Source:
+    """Samples of one or several recordings that are used for the estimate.
 
     Args:
-        recording: As for `open_source`.
-        settings: May say from when to when; else the recording may.
+        recording: Recording or recordings, as for `open_source`.
+        settings: Settings, whose time span has priority over that of the recording.
 
     Raises:
-        RecordingError: It is no recording, or none of its samples is in that time.
-        SettingsError: A time is said of several recordings.
+        RecordingError: `recording` is no recording, or has no samples in the time span.
+        SettingsError: A time span is stated for several recordings.
     """
     source = open_source(recording)
     if len(source.segments) == 1:
-        return counted(source, settings.span)
+        return evaluated_samples(source, settings.span)
     if settings.span is not None:
         raise SettingsError(
             "identification.span is about one recording without a gap; cut others where they are "
@@ -278,33 +300,34 @@ def samples_of(recording: RecordingLike, settings: Settings) -> Source:
     return Joined([source])
 
 
-def check_left_out(source: Source, settings: Settings) -> None:
-    """Whether channels that are to be left out are some of a recording.
+def check_excluded_channels(source: Source, settings: Settings) -> None:
+    """Check that the channels excluded by the settings exist in a recording.
 
     Args:
-        source: The recording.
-        settings: May name some.
+        source: Recording.
+        settings: Settings with names or patterns of the channels.
 
     Raises:
-        UnknownName: A pattern names none.
+        UnknownName: A pattern matches no channel.
     """
-    signals = [signal for signal in SIGNAL_OF.values() if signal in source.signals]
-    known = [f"{s}/{name}" for s in signals for name in members_of(s, source.names)]
+    signals = [signal for signal in SIGNALS if signal in source.signals]
+    known = [f"{s}/{name}" for s in signals for name in column_members(s, source.names)]
     for pattern in settings.leave_out:
-        if pattern != NOTHING and not filter(known, pattern):
+        if pattern != EXCLUDE_NOTHING and not filter(known, pattern):
             raise UnknownName("channel", pattern, known)
 
 
-def check_source(source: Source, tree: Tree, method: Method) -> None:
-    """Whether a recording is one, of this robot, with what a method needs.
+def check_source(source: Source, tree: Tree, method: Signal) -> None:
+    """Check that a recording belongs to the robot and contains the signal of the method.
 
     Args:
-        source: The recording.
-        tree: The robot.
-        method: Reads torques or the wrench.
+        source: Recording.
+        tree: Robot.
+        method: "wrench", which requires the measured wrench, or "torque", which requires the joint
+            torques.
 
     Raises:
-        RecordingError: It is not.
+        RecordingError: The recording is damaged, of another robot, or lacks the signal.
     """
     check_samples(source.samples, "the recording")
     if not source.rate > 0:
@@ -312,68 +335,73 @@ def check_source(source: Source, tree: Tree, method: Method) -> None:
             "the recording: time does not increase from its first sample to its last"
         )
     check_robot(source, tree)
-    if SIGNAL_OF[method] in source.signals:
+    if method in source.signals:
         return
-    others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
-    advice = "".join(
-        f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others
-    )
+    others = [other for other in SIGNALS if other in source.signals]
+    advice = "".join(f"; its {other} allows the {other} one" for other in others)
     if "sensors" in source.signals:
-        named = ", ".join(source.metadata.sensors)
-        advice += f"; it has force sensors: --sensor NAME ({named})"
+        sensors = ", ".join(source.metadata.sensors)
+        advice += f"; it has force sensors: --sensor NAME ({sensors})"
     raise RecordingError(
-        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
+        f"the recording has no {method}, which the {method} method needs{advice}"
     )
 
 
-def tare_of(tree: Tree, source: Source) -> Array:
-    """The static wrench to be taken off the plate's, (6,) [N, N m]: the pedestal's.
+def recording_tare(tree: Tree, source: Source) -> Array:
+    """Static wrench of the pedestal, subtracted from the plate's wrench, (6,) [N, N m].
+
+    It is the tare of the recording if stated, else the weight of the model's pedestal.
 
     Args:
-        tree: The robot, under the gravity of the recording.
-        source: A recording; it may say so.
+        tree: Robot under the gravity of the recording.
+        source: Recording.
     """
     return pedestal_wrench(tree) if source.tare is None else source.tare
 
 
-@stage("minimal set")
-def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
-    """The minimal set that a method sees: of an unknown tare, what the wrench's changes identify.
+@timed_stage("minimal set")
+def method_minimal_set(tree: Tree, method: Signal, settings: Settings) -> MinimalSet:
+    """Minimal set that a method can identify.
+
+    With an unknown tare, only changes of the wrench are used.
 
     Args:
-        tree: The robot, under the gravity of the recording.
-        method: By plate or by torques.
-        settings: Which parameters are zero, and whether the tare is known.
+        tree: Robot under the gravity of the recording.
+        method: Method.
+        settings: Settings with known zeros and the kind of tare.
     """
-    tared = method == "external" and settings.tare == "unknown"
-    return minimal_set(tree, SIGNAL_OF[method], zeros=settings.zeros, tared=tared)
+    tared = method == "wrench" and settings.tare == "unknown"
+    return minimal_set(tree, method, zeros=settings.zeros, tared=tared)
 
 
 def usual_terms(tree: Tree, source: Source) -> list[str]:
-    """Words of the terms that joints have unless something else is said.
+    """Default joint laws of a recording: friction, offsets and rotor inertias, as words.
 
-    Real drives have offsets, too; what motors deliver moves rotors, and a model file may state some
-    (MJCF's armature).
+    Offsets are included for imported recordings. Rotors are included at all joints if torques come
+    from motors, else at joints whose rotor the model file states (MJCF's armature).
 
     Args:
-        tree: The robot.
-        source: The recording.
+        tree: Robot.
+        source: Recording.
     """
-    words = [law.kind for law in (*ALWAYS, *[OFFSET] * is_imported(source))]
-    if is_of_motors(source):
+    words = [law.kind for law in (*BASE_LAWS, *[OFFSET] * is_imported(source))]
+    if has_motor_torques(source):
         return [*words, ROTOR.kind]
     return [
         *words,
-        *(f"{ROTOR.kind}/{each.name}" for each in tree.joints if each.rotor_inertia),
+        *(f"{ROTOR.kind}/{joint.name}" for joint in tree.joints if joint.rotor_inertia),
     ]
 
 
-def _complete(
-    settings: Settings, tree: Tree, source: Source, method: Method
+def _completed_settings(
+    settings: Settings, tree: Tree, source: Source, method: Signal
 ) -> Settings:
-    """Settings with filters that fit the recording, all terms, and a zero that nobody knows."""
+    """Settings with filters fitted to the sampling rate, default terms and, if needed, a bias.
+
+    An unknown tare adds a plate bias to the nuisances.
+    """
     nuisances: Sequence[str] = settings.nuisances
-    if method == "external" and settings.tare == "unknown" and "bias" not in nuisances:
+    if method == "wrench" and settings.tare == "unknown" and "bias" not in nuisances:
         nuisances = (*nuisances, "bias")
     terms = settings.terms
     if terms is None:

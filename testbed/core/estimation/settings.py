@@ -1,4 +1,4 @@
-"""How a recording becomes equations: the one place of defaults."""
+"""Settings of an estimate: filters, terms, known values and their defaults."""
 
 from __future__ import annotations
 
@@ -18,86 +18,87 @@ from pydantic import (
 
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.summary_table import Value
-from testbed.core.robot.friction import law_of
+from testbed.core.robot.friction import law_of_term
 from testbed.core.robot.joint_law import JointLaw
-from testbed.sensors.catalogue import term_of, terms
+from testbed.sensors.catalogue import term_by_name, terms_by_name
 
-LARGEST = 1e9
-"""Times [s] and speeds [rad/s, m/s] that no robot has."""
+MAX_TIME_OR_SPEED = 1e9
+"""Largest accepted time [s] and speed [rad/s or m/s]."""
 
 
-def with_sigmas(
+def values_with_sigmas(
     stated: Mapping[str, float | Sequence[float]],
 ) -> dict[str, tuple[float, float]]:
-    """Value and sigma by name; zero where none is stated.
+    """Value and sigma of each name; sigma is zero where not stated.
 
     Args:
-        stated: A table that has been checked.
+        stated: Checked table of values, or of values with sigmas, by name.
     """
     values = {}
-    for name, given in stated.items():
+    for name, entry in stated.items():
         value, sigma, *_ = (
-            (*given, 0.0) if isinstance(given, Sequence) else (given, 0.0)
+            (*entry, 0.0) if isinstance(entry, Sequence) else (entry, 0.0)
         )
         values[name] = float(value), float(sigma)
     return values
 
 
-USUAL = ("coulomb", "viscous")
-"""Terms of which nothing else is said."""
+DEFAULT_TERMS = ("coulomb", "viscous")
+"""Default joint laws."""
 
-FIT: Final = "fit"
-"""A filter that fits the sampling rate."""
+FIT_TO_SAMPLING_RATE: Final = "fit"
+"""Value of a cutoff that is to fit the sampling rate."""
 
-AUTO = "auto"
-"""Terms that held-out data choose."""
+AUTOMATIC_TERMS = "auto"
+"""Value of `Settings.terms` for a choice by cross-validation."""
 
 Cutoff = float | Literal["off", "fit"]
-"""A frequency [Hz], or "off", or what the sampling rate allows."""
+"""Cutoff frequency [Hz], "off" for no filter, or "fit" for a default that fits the sampling
+rate."""
 
-POSITION_CUTOFF, ROW_CUTOFF = 40.0, 5.0
-"""Where the sampling rate allows them [Hz]."""
+DEFAULT_POSITION_CUTOFF, DEFAULT_ROW_CUTOFF = 40.0, 5.0
+"""Default cutoffs of the low-pass filters on positions and on rows [Hz]."""
 
-SLOWEST_ROWS = 0.1
-"""Share of a sampling rate up to which differences of positions are good derivatives."""
+MAX_ROW_CUTOFF_FRACTION = 0.1
+"""Largest default cutoff on rows relative to the sampling rate, for accurate differences."""
 
 
-def _distinct(names: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
-    """Raise ValueError where something is named twice."""
+def _check_distinct(names: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
+    """Return the names unchanged; raise ValueError if a name occurs twice."""
     kinds = [name if isinstance(name, str) else name.kind for name in names]
     if len(set(kinds)) < len(kinds):
         raise ValueError
     return names
 
 
-def _known_terms(terms: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
-    """Raise UnknownName where a term is no law."""
+def _check_known_terms(terms: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
+    """Return the terms unchanged; raise UnknownName if a term is no joint law."""
     for term in terms:
-        law_of(term)
+        law_of_term(term)
     return terms
 
 
-def _rising(span: tuple[float, float]) -> tuple[float, float]:
-    """Raise ValueError where the second time is not the later one."""
+def _check_increasing(span: tuple[float, float]) -> tuple[float, float]:
+    """Return the time span unchanged; raise ValueError unless it increases."""
     if not span[0] < span[1]:
         raise ValueError
     return span
 
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Amount = Annotated[Number, Field(ge=0, le=LARGEST)]
+BoundedNumber = Annotated[Number, Field(ge=0, le=MAX_TIME_OR_SPEED)]
 Name = Annotated[str, Field(strict=True)]
-Filter = Annotated[
+CutoffValue = Annotated[
     Annotated[Number, Field(gt=0)] | Literal["off", "fit"],
     BeforeValidator(lambda given: "off" if given is None else given),
 ]
-Share = Annotated[Number, Field(gt=0)]
+PositiveNumber = Annotated[Number, Field(gt=0)]
 
 
-class Checked(Value):
-    """A frozen dataclass whose fields are checked, whoever makes the value.
+class ValidatedValue(Value):
+    """Base class of frozen dataclasses whose fields are validated on construction.
 
-    Beside the type of a field stands what pydantic checks, and that in words.
+    A field's annotation contains the type that pydantic validates and a description of that type.
     """
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
@@ -107,30 +108,34 @@ class Checked(Value):
         hints = get_type_hints(cls, include_extras=True).items()
         metadata = {name: getattr(hint, "__metadata__", ()) for name, hint in hints}
         cls._valid = {
-            k: (TypeAdapter(each[0]), each[1]) for k, each in metadata.items() if each
+            name: (TypeAdapter(annotations[0]), annotations[1])
+            for name, annotations in metadata.items()
+            if annotations
         }
 
     def __post_init__(self) -> None:
-        for name, (adapter, meaning) in self._valid.items():
-            given = getattr(self, name)
+        for name, (adapter, description) in self._valid.items():
+            value = getattr(self, name)
             try:
-                checked = adapter.validate_python(given)
+                checked = adapter.validate_python(value)
             except ValidationError:
-                raise SettingsError(f"{name} is {meaning}, found {given!r}") from None
+                raise SettingsError(
+                    f"{name} is {description}, found {value!r}"
+                ) from None
             object.__setattr__(self, name, checked)
 
 
-KNOWN = (
+KNOWN_VALUES_FIELD = (
     dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]],
     "a table of values, or of values and their sigmas, by name",
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(Checked):
-    """How a recording becomes equations, and what is known before.
+class Settings(ValidatedValue):
+    """Settings of an estimate: filters, terms, and values known in advance.
 
-    Plain values only: an experiment file's table [identification] holds the same keys.
+    Values are plain; the table [identification] of an experiment file has the same keys.
     """
 
     zeros: Annotated[
@@ -138,110 +143,113 @@ class Settings(Checked):
         Annotated[bool, Field(strict=True)] | tuple[Name, ...],
         "true, false or a list of parameters' names",
     ] = False
-    """Barycentric parameters that are known to be zero: true for all that are zero in the
-    model file, or their names, such as "mb1x" or "K2xy"."""
+    """Barycentric parameters that are known to be zero: true for all that are zero in the model
+    file, or their names, such as "mb1x" or "K2xy"."""
 
     position_cutoff: Annotated[
-        Cutoff | None, Filter, 'a positive frequency [Hz] or "off"'
+        Cutoff | None, CutoffValue, 'a positive frequency [Hz] or "off"'
     ] = "fit"
-    """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
-    twice `cutoff`: what it takes from the motion would bias the estimate. By default 40 Hz, or
-    none where the sampling is too slow for that."""
+    """Cutoff of the low-pass on encoder positions before they are differentiated [Hz], or "off". At
+    least twice `cutoff`, since its attenuation of the motion would bias the estimate. Default: 40
+    Hz, or none where the sampling rate is too low for that."""
 
-    cutoff: Annotated[Cutoff | None, Filter, 'a positive frequency [Hz] or "off"'] = (
-        "fit"
-    )
-    """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
-    5 Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
+    cutoff: Annotated[
+        Cutoff | None, CutoffValue, 'a positive frequency [Hz] or "off"'
+    ] = "fit"
+    """Cutoff of the low-pass on both regressor columns and measurement [Hz], or "off". Default: 5
+    Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
 
     deadband: Annotated[
-        float, Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}"
+        float, BoundedNumber, f"a speed [rad/s or m/s], from 0 to {MAX_TIME_OR_SPEED:g}"
     ] = 0.02
-    """Joints that are slower rest: dry friction there has no sign, and is unknown
-    [rad/s or m/s]."""
+    """Speed below which a joint counts as resting [rad/s or m/s]: the sign of its dry friction is
+    unknown."""
 
     reversal_reach: Annotated[
-        float | None, Amount | None, f"a time [s], from 0 to {LARGEST:g}"
+        float | None,
+        BoundedNumber | None,
+        f"a time [s], from 0 to {MAX_TIME_OR_SPEED:g}",
     ] = None
-    """Rows of a joint that rests within this time do not count, since the filter on rows spreads
-    what friction does there [s]. Default: in an estimate they do, whitened of it; where single
-    rows are looked at, all but 3 % of the filter's weight has to move, 0.15 s at 5 Hz."""
+    """Time around a rest of a joint within which its rows are excluded [s], since the filter on
+    rows spreads the friction there. Default: an estimate includes and whitens these rows; where
+    single rows are used, all but 3 % of the filter's weight has to lie on moving samples, 0.15 s at
+    5 Hz."""
 
     terms: Annotated[
         Sequence[str | JointLaw] | Literal["auto"] | None,
         Annotated[
             tuple[Name | InstanceOf[JointLaw], ...],
-            AfterValidator(_known_terms),
-            AfterValidator(_distinct),
+            AfterValidator(_check_known_terms),
+            AfterValidator(_check_distinct),
         ]
         | Literal["auto"]
         | None,
         'a list of names, none twice, or "auto"',
     ] = None
-    """What a joint's torque holds besides the forces that move the bodies, as "coulomb", "viscous",
-    "offset", "rotor", those that `testbed list` names, and "stribeck@0.1", friction that fades out
-    at 0.1 rad/s. Each holds at all joints and at all shafts that couple some, "rotor/elbow" at that
-    one. "auto" lets held-out data choose. Default: "coulomb" and "viscous", "offset" of imported
-    recordings, and "rotor" of torques from motors, else of joints whose rotor the model file
-    states."""
+    """Joint laws: torques besides the forces that move the bodies, such as "coulomb", "viscous",
+    "offset", "rotor", those listed by `testbed list`, and "stribeck@0.1", friction that decays at
+    0.1 rad/s. Each holds at all joints and at all coupling shafts, "rotor/elbow" at that joint
+    only. "auto" chooses by cross-validation. Default: "coulomb" and "viscous", "offset" for
+    imported recordings, and "rotor" for torques from motors, else at joints whose rotor the model
+    file states."""
 
     nuisances: Annotated[
         Sequence[str],
         Annotated[
-            tuple[Annotated[Name, AfterValidator(term_of)], ...],
-            AfterValidator(_distinct),
+            tuple[Annotated[Name, AfterValidator(term_by_name)], ...],
+            AfterValidator(_check_distinct),
         ],
         "a list of names, none twice",
     ] = ()
-    """What of the instrument is unknown beside the parameters, for the external method: "bias",
-    "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
+    """Sensor errors estimated together with the parameters, for the force plate: "bias", "slope",
+    "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
 
     tare: Annotated[
         Literal["known", "unknown"],
         Literal["known", "unknown"],
         '"known" or "unknown"',
     ] = "known"
-    """Whether it is known what of the wrench is the pedestal's. If not, the plate shows only how
-    its wrench changes: the parameters are those of the tared set, and "bias" is among the
-    nuisances."""
+    """"known" if the pedestal's share of the wrench is known. With "unknown", only changes of the
+    wrench count: the parameters are those of the tared set, and "bias" is among the nuisances."""
 
-    known: Annotated[Mapping[str, float | Sequence[float]], *KNOWN] = field(
-        default_factory=dict, hash=False
+    known: Annotated[Mapping[str, float | Sequence[float]], *KNOWN_VALUES_FIELD] = (
+        field(default_factory=dict, hash=False)
     )
-    """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
-    of all moving bodies [kg], "centre/x" where its centre is [m]; any minimal parameter and any
-    number of a nuisance can be known."""
+    """Known values, exact or with a sigma: a value, or value and sigma, by name. "mass" is that of
+    all moving bodies [kg], "centre/x" a coordinate of their centre of mass [m]; any minimal
+    parameter and any coefficient of a nuisance can be known."""
 
     span: Annotated[
         Sequence[float] | None,
-        Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
+        Annotated[tuple[Number, Number], AfterValidator(_check_increasing)] | None,
         "two times [s], the earlier one first",
     ] = None
-    """Samples from the first to before the second time count [s]. Default: those that the recording
-    says are for an estimate, as one from rest to rest does; else all."""
+    """Time span of the samples used, from the first to before the second time [s]. Default: the
+    span that the recording states for estimates, as one from rest to rest does; else all
+    samples."""
 
     leave_out: Annotated[
         Sequence[str],
-        Annotated[tuple[Name, ...], AfterValidator(_distinct)],
+        Annotated[tuple[Name, ...], AfterValidator(_check_distinct)],
         "a list of names of channels, none twice",
     ] = ()
-    """Channels that do not count, such as "torque/elbow" or "torque/wrist_*", besides samples of an
-    imported recording that are clipped, dead, stuck, repeated or copied; "nothing": those count,
-    too."""
+    """Channels excluded from the estimate, such as "torque/elbow" or "torque/wrist_*", besides
+    samples of an imported recording that are clipped, dead, stuck, repeated or copied; "nothing"
+    includes these samples."""
 
     drives: Annotated[
         Literal["off", "given", "chosen"],
         Literal["off", "given", "chosen"],
         '"off", "given" or "chosen"',
     ] = "off"
-    """Whether joint torques are held against the plate's estimate: torque constants, friction
-    curves, both methods combined; with the given terms, or with those that held-out data choose
-    for each joint (docs/drives.md)."""
+    """Comparison of joint torques with the plate's estimate: torque constants, friction curves,
+    combination of both methods. "given" uses the stated joint laws, "chosen" those that
+    cross-validation chooses for each joint (docs/drives.md)."""
 
     model_errors: Annotated[
         bool, Annotated[bool, Field(strict=True)], "true or false"
     ] = True
-    """Whether residuals are searched for errors of the model, as friction of another law, elastic
+    """True to search the residuals for model errors, such as friction of another law, elastic
     joints or a base that is not level (docs/model-errors.md)."""
 
     engine: Annotated[
@@ -249,93 +257,121 @@ class Settings(Checked):
         Literal["by size", "compiled", "numpy"],
         '"by size", "compiled" or "numpy"',
     ] = "by size"
-    """What makes the rows: the compiled kernel, NumPy, or whichever is faster for the size of the
-    job. They differ in rounding only."""
+    """Implementation that computes the regressor rows: the compiled kernel, NumPy, or the faster of
+    both for the size of the job. They differ in rounding only."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.nuisances and self.row_low_pass is None:
             raise SettingsError("nuisances need a cutoff: rows are filtered")
-        slow, fast = self.row_low_pass, self.position_low_pass
-        if self.cutoff == FIT and slow is not None and fast is not None:
-            slow = min(slow, fast / 2)
-        if slow is not None and fast is not None and fast < 2 * slow:
+        row_cutoff, position_cutoff = self.row_low_pass, self.position_low_pass
+        if (
+            self.cutoff == FIT_TO_SAMPLING_RATE
+            and row_cutoff is not None
+            and position_cutoff is not None
+        ):
+            row_cutoff = min(row_cutoff, position_cutoff / 2)
+        if (
+            row_cutoff is not None
+            and position_cutoff is not None
+            and position_cutoff < 2 * row_cutoff
+        ):
             raise SettingsError(
-                f"position_cutoff = {fast:g} Hz is less than twice cutoff = {slow:g} Hz: what it "
-                "takes from the motion would bias the estimate"
+                f"position_cutoff = {position_cutoff:g} Hz is less than twice cutoff = "
+                f"{row_cutoff:g} Hz: what it takes from the motion would bias the estimate"
             )
 
     @property
     def position_low_pass(self) -> float | None:
-        """Cutoff of the low-pass on positions [Hz]; None for none."""
-        return _hertz(self.position_cutoff, POSITION_CUTOFF)
+        """Cutoff of the low-pass on positions [Hz]; None for no filter."""
+        return _cutoff_frequency(self.position_cutoff, DEFAULT_POSITION_CUTOFF)
 
     @property
     def row_low_pass(self) -> float | None:
-        """Cutoff of the low-pass on rows [Hz]; None for none."""
-        return _hertz(self.cutoff, ROW_CUTOFF)
+        """Cutoff of the low-pass on rows [Hz]; None for no filter."""
+        return _cutoff_frequency(self.cutoff, DEFAULT_ROW_CUTOFF)
 
     def fitted(self, rate: float) -> Settings:
-        """The same with filters that fit a recording.
+        """Settings whose "fit" cutoffs are replaced by frequencies that suit the sampling rate.
+
+        The cutoff on rows is 5 Hz, but at most a tenth of the sampling rate and half of the cutoff
+        on positions. The cutoff on positions is 40 Hz, or "off" for sampling rates up to 80 Hz.
 
         Args:
-            rate: Samples a second [Hz].
+            rate: Sampling rate [Hz].
         """
-        rows = self.cutoff
-        if rows == FIT:
-            rows = min(
-                ROW_CUTOFF, SLOWEST_ROWS * rate, (self.position_low_pass or np.inf) / 2
+        row_cutoff = self.cutoff
+        if row_cutoff == FIT_TO_SAMPLING_RATE:
+            row_cutoff = min(
+                DEFAULT_ROW_CUTOFF,
+                MAX_ROW_CUTOFF_FRACTION * rate,
+                (self.position_low_pass or np.inf) / 2,
             )
-        positions: Cutoff | None = self.position_cutoff
-        if positions == FIT:
-            positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"
-        return replace(self, cutoff=rows, position_cutoff=positions)
+        position_cutoff: Cutoff | None = self.position_cutoff
+        if position_cutoff == FIT_TO_SAMPLING_RATE:
+            position_cutoff = (
+                DEFAULT_POSITION_CUTOFF if rate / 2 > DEFAULT_POSITION_CUTOFF else "off"
+            )
+        return replace(self, cutoff=row_cutoff, position_cutoff=position_cutoff)
 
     def with_unknowns(self, names: str | Sequence[str]) -> Settings:
-        """The same with other unknowns besides the bodies' parameters.
+        """Settings with other nuisances or joint laws.
 
         Args:
-            names: Errors of the plate, by the names of faults or nuisances; laws of the joints'
-                torques. Of a kind that is not named, those of the settings stay.
+            names: Names of sensor errors of the plate, as faults or as nuisances, and of joint
+                laws. If no sensor error or no joint law is named, those of the settings are kept.
 
         Raises:
-            UnknownName: There is no such error and no such law.
+            UnknownName: A name is neither a sensor error nor a joint law.
         """
-        listed, known = [names] if isinstance(names, str) else names, terms()
-        errors = dict.fromkeys(known[name] for name in listed if name in known)
-        laws = tuple(name for name in listed if name not in known)
+        requested, known_errors = (
+            [names] if isinstance(names, str) else names,
+            terms_by_name(),
+        )
+        nuisances = dict.fromkeys(
+            known_errors[name] for name in requested if name in known_errors
+        )
+        laws = tuple(name for name in requested if name not in known_errors)
         try:
             return replace(
                 self,
-                nuisances=tuple(errors) or self.nuisances,
+                nuisances=tuple(nuisances) or self.nuisances,
                 terms=laws or self.terms,
             )
         except UnknownName as error:
-            raise UnknownName("term", error.name, (*known, *error.known)) from None
+            raise UnknownName(
+                "term", error.name, (*known_errors, *error.known)
+            ) from None
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:
-        """The terms as laws of the joints' torque."""
-        return tuple(dict.fromkeys(law_of(term) for term in self.words))
+        """Distinct joint laws of the terms."""
+        return tuple(dict.fromkeys(law_of_term(term) for term in self.words))
 
     @property
     def words(self) -> tuple[str | JointLaw, ...]:
-        """The terms: "rotor" of all joints, "rotor/elbow" of one."""
+        """Terms as words or laws: "rotor" for all joints, "rotor/elbow" for one joint."""
         if self.terms is None or isinstance(self.terms, str):
-            return USUAL
+            return DEFAULT_TERMS
         return tuple(self.terms)
 
     @property
     def facts(self) -> dict[str, tuple[float, float]]:
-        """Value and sigma of what is known, by name."""
-        return with_sigmas(self.known)
+        """Value and sigma of each known quantity, by name."""
+        return values_with_sigmas(self.known)
 
 
-def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:
-    if cutoff == FIT:
-        return fit
+def _cutoff_frequency(cutoff: Cutoff | None, default: float) -> float | None:
+    """Cutoff frequency [Hz]; None for no filter.
+
+    Args:
+        cutoff: Cutoff of the settings.
+        default: Frequency in place of "fit" [Hz].
+    """
+    if cutoff == FIT_TO_SAMPLING_RATE:
+        return default
     return None if cutoff is None or isinstance(cutoff, str) else cutoff
 
 
 DEFAULTS = Settings()
-"""What is used unless somebody asks otherwise."""
+"""Default settings."""

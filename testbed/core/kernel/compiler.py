@@ -1,4 +1,4 @@
-"""How the kernel is compiled: options, what fits the processor, and the cache."""
+"""Numba decorators of the kernel, options for the processor, and the folder of compiled code."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ from numba.core import config
 from testbed.core.base.cache import cache_folder
 from testbed.core.robot import friction, laws
 
-settings: Any = config  # whose names Numba makes while it loads
+settings: Any = config  # its names are made while Numba is imported
 
-WIDE = "+avx512f" in (
+HAS_WIDE_VECTORS = "+avx512f" in (
     settings.CPU_FEATURES or binding.get_host_cpu_features().flatten()
 )
-"""Whether there are 32 vector registers, enough for tiles of four slots by four."""
+"""True if the processor has 32 vector registers, enough for products of four by four columns."""
 
 
 def compiled_folder() -> Path:
-    """Where compiled code is kept: one user's own folder, one per version of the sources.
+    """Folder of compiled code, private to the user, one per version of the sources.
 
-    Numba's cache is executable code; a folder that others can write to is not used.
+    Numba's cache contains executable code. A temporary folder is used if other users can write to
+    the cache folder, or if it cannot be created.
     """
     base = cache_folder()
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
@@ -46,13 +47,14 @@ def compiled_folder() -> Path:
         if all(_is_private(each) for each in (base, folder)):
             return folder
     except OSError:
-        pass  # no home, or not ours to write to
-    alone = Path(tempfile.mkdtemp(prefix="testbed-kernel-"))
-    atexit.register(shutil.rmtree, alone, ignore_errors=True)
-    return alone
+        pass  # no home folder, or no permission
+    temporary = Path(tempfile.mkdtemp(prefix="testbed-kernel-"))
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return temporary
 
 
 def _is_private(folder: Path) -> bool:
+    """True if a folder belongs to the user and other users cannot write to it."""
     if not hasattr(os, "getuid"):
         return True
     state = folder.stat()
@@ -63,27 +65,34 @@ def _is_private(folder: Path) -> bool:
 if not settings.CACHE_DIR:
     settings.CACHE_DIR = str(compiled_folder())
 
-# Without Numba's reference counts, of which every slice takes one, the recursion is a quarter
-# faster; nothing here makes or keeps arrays.
+# Without Numba's reference counts, one per slice, the recursion is a quarter faster; compiled
+# functions do not allocate arrays.
 _compiled: Any = partial(njit, _nrt=False)
-inline = _compiled(fastmath={"contract"}, forceinline=True)
-plain = _compiled(fastmath={"contract"})
-part = _compiled(fastmath={"contract"}, inline="always")
-summing = _compiled(fastmath={"contract", "reassoc", "nsz"}, forceinline=True)
-outer = _compiled(nogil=True, cache=True)
+llvm_inline = _compiled(fastmath={"contract"}, forceinline=True)
+"""Decorator of functions inlined by LLVM, with fused multiply-add."""
+compiled_function = _compiled(fastmath={"contract"})
+"""Decorator of compiled functions, with fused multiply-add."""
+numba_inline = _compiled(fastmath={"contract"}, inline="always")
+"""Decorator of functions inlined by Numba, with fused multiply-add."""
+inline_sum = _compiled(fastmath={"contract", "reassoc", "nsz"}, forceinline=True)
+"""Decorator of inlined functions whose sums may be reordered."""
+compiled_entry = _compiled(nogil=True, cache=True)
+"""Decorator of functions called from Python: cached, run without the GIL."""
 
 
 intrinsic: Any = extending.intrinsic
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def call(typing: Any, address: Any, arguments: Any) -> Any:
-    """A C function that returns nothing, by its address: unlike one of ctypes it can be cached.
+def call_address(typing: Any, address: Any, arguments: Any) -> Any:
+    """Call a C function without return value at an address, as a Numba intrinsic.
+
+    Unlike a function that calls through ctypes, the caller can be cached by Numba.
 
     Args:
-        typing: Numba's context.
-        address: Of the function.
-        arguments: A tuple of numbers and addresses, of the very types that it takes.
+        typing: Typing context of Numba.
+        address: Address of the function.
+        arguments: Tuple of numbers and addresses, with exactly the types of the C function.
     """
     del typing
 
@@ -92,7 +101,7 @@ def call(typing: Any, address: Any, arguments: Any) -> Any:
         parts = [
             builder.extract_value(packed, k) for k in range(len(signature.args[1]))
         ]
-        kind = ir.FunctionType(ir.VoidType(), [part.type for part in parts])
+        kind = ir.FunctionType(ir.VoidType(), [value.type for value in parts])
         builder.call(builder.inttoptr(function, kind.as_pointer()), parts)
         return context.get_dummy_value()
 

@@ -1,4 +1,4 @@
-"""Columns of a matrix that span all others."""
+"""Selection of linearly independent columns."""
 
 from __future__ import annotations
 
@@ -7,18 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.parameters.regroup import beyond
+from testbed.core.parameters.regroup import orthogonal_part
 
 
 def independent_columns(matrix: Array, order: Sequence[int]) -> list[int]:
-    """Columns that span all others, earlier ones preferred unless nearly dependent."""
-    picked: list[int] = []
+    """Indices of columns that span the column space, by thresholded Gram-Schmidt.
+
+    Columns are tested in order of preference. A column is selected if its component orthogonal to
+    the columns selected before is longer than a threshold: 0.3 in the first pass, then 0.03, 1e-3
+    and 1e-6, until the rank is reached.
+
+    Args:
+        matrix: Matrix of full row rank, (k, p).
+        order: Indices of columns in order of preference.
+    """
+    chosen: list[int] = []
     basis = np.zeros((0, len(matrix)))
     for threshold in (0.3, 0.03, 1e-3, 1e-6):
-        for k in order if len(picked) < len(matrix) else ():
-            rest = beyond(matrix[:, k], basis)
-            length = np.linalg.norm(rest)
+        for k in order if len(chosen) < len(matrix) else ():
+            residual = orthogonal_part(matrix[:, k], basis)
+            length = np.linalg.norm(residual)
             if length > threshold:
-                picked.append(k)
-                basis = np.vstack([basis, rest / length])
-    return picked
+                chosen.append(k)
+                basis = np.vstack([basis, residual / length])
+    return chosen

@@ -1,4 +1,4 @@
-"""The compiled kernel on a window of samples."""
+"""Compiled computation of rows and their products for windows of samples."""
 
 from __future__ import annotations
 
@@ -12,132 +12,146 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.kernel.gram import sweep as compiled
+from testbed.core.kernel.gram import sweep as compiled_sweep
 from testbed.core.kernel.layout import Layout
 from testbed.core.kernel.records import (
-    CHUNK,
-    SEEDS,
+    FILTER_SAMPLES,
+    SEED_COUNT,
     B,
     Block,
     D,
-    Signals,
+    SignalWindow,
     Sums,
-    Work,
-    blocks,
-    sums_for,
+    Workspace,
+    signal_blocks,
+    zero_sums,
 )
-from testbed.core.kernel.rows import BODY, SCREW, A
+from testbed.core.kernel.rows import BODY_SIZE, SCREW_SIZE, A
 
-_compiling = Lock()
+_compile_lock = Lock()
 _log = logging.getLogger(__name__)
-"""Python writes warnings to standard error unless a program says otherwise."""
+"""Logger; Python writes its warnings to standard error by default."""
 
 
-def workspace(layout: Layout, signals: Signals) -> Work:
-    """Room for one thread; serves every window of these filters."""
+def workspace(layout: Layout, signals: SignalWindow) -> Workspace:
+    """Workspace of one thread, for all windows with the filters of `signals`.
+
+    Args:
+        layout: Layout of the rows.
+        signals: A window.
+    """
     rows, links = layout.rows, len(layout.robot.place)
-    slots = rows.slots + layout.width + 1
+    slots = rows.slots + layout.channel_count + 1
     filtered = len(signals.weights) > 1
-    reach = (CHUNK + len(signals.weights)) // signals.step + 12
-    work = Work(
-        U=_aligned(links, 3 * B),
-        N=_aligned(B + signals.taps.shape[1]),
-        X=_aligned(int(layout.robot.place.max(initial=0)) + 1, BODY),
-        V=_aligned(max(SEEDS, int(rows.target.max(initial=0)) + 1), SCREW),
-        T=_aligned(11 * D),
-        Y=_aligned(slots * D if filtered else 0),
-        H=_aligned(reach * D if filtered else 0),
-        G=_aligned(layout.width * ((len(signals.weights) - 1) // signals.step + 1) * D),
-        Z=_aligned(slots * D),
-        squares=_aligned(1),
+    reach = (FILTER_SAMPLES + len(signals.weights)) // signals.step + 12
+    work = Workspace(
+        U=_aligned_zeros(links, 3 * B),
+        N=_aligned_zeros(B + signals.taps.shape[1]),
+        X=_aligned_zeros(int(layout.robot.place.max(initial=0)) + 1, BODY_SIZE),
+        V=_aligned_zeros(
+            max(SEED_COUNT, int(rows.target.max(initial=0)) + 1), SCREW_SIZE
+        ),
+        T=_aligned_zeros(11 * D),
+        Y=_aligned_zeros(slots * D if filtered else 0),
+        H=_aligned_zeros(reach * D if filtered else 0),
+        G=_aligned_zeros(
+            layout.channel_count * ((len(signals.weights) - 1) // signals.step + 1) * D
+        ),
+        Z=_aligned_zeros(slots * D),
+        squares=_aligned_zeros(1),
     )
-    # what never changes: the bedplate's motion, and screws
+    # constants: motion of the bedplate, and screws
     work.X[0, A : A + 3 * B] = np.repeat(layout.robot.ground, B)
-    work.V[:SEEDS] = np.repeat(layout.robot.seeds, B, axis=1)
+    work.V[:SEED_COUNT] = np.repeat(layout.robot.seeds, B, axis=1)
     return work
 
 
-def sweep(layout: Layout, signals: Signals, work: Work) -> Sums:
-    """Products of a window's rows.
+def row_products(layout: Layout, signals: SignalWindow, work: Workspace) -> Sums:
+    """Gram matrices of channel columns over the rows of a window, and valid row counts.
+
+    Rows are valid unless they are excluded because the channel's joint is nearly at rest.
 
     Args:
-        layout: The rows.
+        layout: Layout of the rows.
         signals: The window.
-        work: Room to work in.
+        work: Workspace.
     """
-    sums = sums_for(layout.rows)
+    sums = zero_sums(layout.rows)
     work = work._replace(squares=sums.squares)
-    _call(layout.robot, layout.rows, _fixed(signals), work, sums)
+    _call_kernel(layout.robot, layout.rows, _readonly_signals(signals), work, sums)
     return sums
 
 
-def fill_only(layout: Layout, signals: Signals, work: Work) -> Array:
-    """Rows alone, nothing made of them; the last block stays in the workspace.
+def fill_rows(layout: Layout, signals: SignalWindow, work: Workspace) -> Array:
+    """Compute only the rows of a window; the last block remains in the workspace.
 
     Args:
-        layout: The rows.
+        layout: Layout of the rows.
         signals: The window.
-        work: Room to work in.
+        work: Workspace.
 
     Returns:
-        How many of each channel count, (channels,).
+        Number of valid rows of each channel, (channels,).
     """
-    sums = sums_for(layout.rows)._replace(products=np.empty(0))
-    _call(layout.robot, layout.rows, _fixed(signals), work, sums)
-    return sums.used
+    sums = zero_sums(layout.rows)._replace(products=np.empty(0))
+    _call_kernel(layout.robot, layout.rows, _readonly_signals(signals), work, sums)
+    return sums.row_counts
 
 
-def rows(layout: Layout, signals: Signals, work: Work) -> list[Block]:
-    """A window's rows.
+def rows(layout: Layout, signals: SignalWindow, work: Workspace) -> list[Block]:
+    """Filtered regressor rows of a window, in blocks of at most `layout.rows.block` rows.
 
     Args:
-        layout: The rows.
+        layout: Layout of the rows.
         signals: The window.
-        work: Room to work in.
+        work: Workspace.
     """
-    made = []
-    for first, block in blocks(signals, layout.rows.block):
-        used = fill_only(layout, block, work)
-        z = work.Z.reshape(-1, D)[: layout.rows.slots, : block.number].copy()
-        made.append(Block(first, z, used))
-    return made
+    row_blocks = []
+    for first, block in signal_blocks(signals, layout.rows.block):
+        used = fill_rows(layout, block, work)
+        z = work.Z.reshape(-1, D)[: layout.rows.slots, : block.row_count].copy()
+        row_blocks.append(Block(first, z, used))
+    return row_blocks
 
 
-def _aligned(*shape: int) -> Array:
-    """Zeros that begin where a cache line does: vectors then never straddle two."""
+def _aligned_zeros(*shape: int) -> Array:
+    """Array of zeros whose memory starts at a cache line, for aligned vector access."""
     size = math.prod(shape)
-    room = np.zeros(size + 7)
-    first = -(room.ctypes.data // 8) % 8
-    return room[first : first + size].reshape(shape)
+    padded = np.zeros(size + 7)
+    first = -(padded.ctypes.data // 8) % 8
+    return padded[first : first + size].reshape(shape)
 
 
-def _call(*arguments: object) -> None:
-    """The first time in a thread of its own.
+def _call_kernel(*arguments: object) -> None:
+    """Call the compiled kernel; compile it in a new thread at the first call.
 
-    Compiling means millions of Python calls; deep in a stack, where a chunk of frames happens
-    to end, each of them may allocate and free one, which takes seconds in all.
+    Compilation makes millions of Python calls. On a deep stack, calls at the boundary between two
+    chunks of stack memory allocate and free a chunk each time, which takes seconds in total. A new
+    thread starts with an empty stack.
     """
-    if not compiled.overloads:
-        with _compiling:  # threads ask at once
-            if not compiled.overloads:
+    if not compiled_sweep.overloads:
+        with _compile_lock:  # other threads may call at the same time
+            if not compiled_sweep.overloads:
                 if not any(
-                    Path(compiled.stats.cache_path).glob(f"*.{compiled.__name__}-*.nbi")
+                    Path(compiled_sweep.stats.cache_path).glob(
+                        f"*.{compiled_sweep.__name__}-*.nbi"
+                    )
                 ):
                     _log.warning("compiling the kernel once, about 13 s")
                 with ThreadPoolExecutor(1) as pool:
-                    pool.submit(compiled, *arguments).result()
+                    pool.submit(compiled_sweep, *arguments).result()
                 return
-    compiled(*arguments)
+    compiled_sweep(*arguments)
 
 
-def _fixed(signals: Signals) -> Signals:
-    """The same arrays, contiguous and read-only: one type, compiled once."""
+def _readonly_signals(signals: SignalWindow) -> SignalWindow:
+    """Window with contiguous, read-only arrays: one Numba type, compiled once."""
 
-    def fixed(value: Any) -> Any:
+    def readonly_array(value: Any) -> Any:
         if not isinstance(value, np.ndarray):
             return value
         array = np.ascontiguousarray(value, dtype=np.float64).view()
         array.flags.writeable = False
         return array
 
-    return Signals(*map(fixed, signals))
+    return SignalWindow(*map(readonly_array, signals))

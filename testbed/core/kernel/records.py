@@ -1,4 +1,4 @@
-"""The plain arrays that the kernel works on."""
+"""Constants and plain-array records of the kernel."""
 
 from __future__ import annotations
 
@@ -9,57 +9,66 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import AnyArray, Array
-from testbed.core.robot.friction import LAWS
+from testbed.core.robot.friction import JOINT_LAWS
 from testbed.core.robot.joint_law import JointLaw
 
-# Entries of a row on one body.
+# Entries of a row for one body: one entry per barycentric parameter.
 
-ORDER = (1, 2, 4, 5, 6, 8, 9, 3, 7, 0)
-"""The kernel's entries, as indices of PARTS; an eleventh is mbar as carriers feel it."""
+ENTRY_PARAMETERS = (1, 2, 4, 5, 6, 8, 9, 3, 7, 0)
+"""Barycentric parameter of each row entry, an index in the order mbar mbx mby mbz Kxx ... Kzz.
 
-USUAL = 7
-"""How many entries the kernel makes at once; `screws.rest` makes the others."""
+An eleventh entry is the effect of mbar on the carrying bodies.
+"""
 
-MBAR = 9
-"""The entry of a body's mass where it stands on the bedplate; the next is as carriers feel it."""
+LEADING_ENTRIES = 7
+"""Number of leading entries computed together; `rows.fill_extra_entries` computes the others."""
 
-PUSHED = (0, 1, 7, MBAR)
-"""Entries that a force has: first moments and mass."""
+MASS_ENTRY = 9
+"""Row entry of the mass of a body on the bedplate; the next is its mass acting on carriers."""
 
-# Places of screws in the workspace.
+FORCE_ENTRIES = (0, 1, 7, MASS_ENTRY)
+"""Row entries of a force, a screw without angular part: first moments and mass."""
 
-TURNING, SLIDING, SEEDS = 6, 7, 8
-"""Screws that never change, after the bedplate's six: a joint's on its own body; their number."""
+# Indices of screws in the workspace.
 
-# Blocks; the sizes are the fastest that were measured (docs/identification.md).
+REVOLUTE_SEED, PRISMATIC_SEED, SEED_COUNT = 6, 7, 8
+"""Indices of the constant screws of a revolute and a prismatic joint; number of constant screws.
+
+The first six constant screws are those of the measured wrench.
+"""
+
+# Sizes of blocks, the fastest by measurement (docs/identification.md).
 
 NB = 64
-"""Samples of a block of the recursion: a body's slots stay in the first cache."""
+"""Samples per block of the recursion: the data of a body stay in the L1 cache."""
 
-KS = 320
-"""Most rows of a block of the Gram matrices."""
+MAX_BLOCK_ROWS = 320
+"""Largest number of rows per block of the Gram matrices."""
 
-CHUNK = 128
-"""Samples taken at once by the filter."""
+FILTER_SAMPLES = 128
+"""Number of samples that the filter processes at once."""
 
-B, D = NB + 8, KS + 8
-"""Distances of slots; powers of two would make all slots share a few cache lines."""
+B, D = NB + 8, MAX_BLOCK_ROWS + 8
+"""Strides between arrays of a sample block and of a row block.
 
-CACHE = 1_800_000
-"""Bytes of slots that a block of rows may take."""
+Powers of two would map the arrays to few cache lines.
+"""
 
-# Sine and cosine: the argument less a multiple of pi, then a polynomial in its square.
+MAX_BLOCK_BYTES = 1_800_000
+"""Largest size of the arrays of a block of rows [bytes]."""
 
-ROUND = 6755399441055744.0
-"""1.5 2^52: adding and subtracting it rounds to an integer."""
+# Sine and cosine: reduction by a multiple of pi, then a polynomial in the squared argument.
+
+ROUNDING_SHIFT = 6755399441055744.0
+"""Number 1.5 2^52: adding and subtracting it rounds to an integer."""
 
 PER_PI = 0.3183098861837907
-"""1 / pi."""
+"""Reciprocal of pi."""
 
-PI = (3.1415926534682512, 1.2154201012607932e-10, 4.044532497591901e-21)
-"""Pi in three parts whose products with small integers are exact, after Cody and Waite."""
+PI_PARTS = (3.1415926534682512, 1.2154201012607932e-10, 4.044532497591901e-21)
+"""Pi in three parts whose products with small integers are exact (Cody and Waite)."""
 
-SINE = (
+SINE_COEFFICIENTS = (
     2.7314447512062796e-15,
     -7.643970295533013e-13,
     1.605897731242445e-10,
@@ -69,10 +78,13 @@ SINE = (
     0.008333333333333316,
     -0.16666666666666666,
 )
-"""(sin r - r) / r^3 for |r| <= pi/2 as a polynomial in r^2, highest power first: interpolated at
-Chebyshev's eight nodes of [0, (pi/2)^2]; off by at most 1e-17 (tests/kernel)."""
+"""Polynomial for (sin r - r) / r^3 in r^2, |r| <= pi/2, highest power first.
 
-COSINE = (
+The polynomial interpolates at the eight Chebyshev nodes of [0, (pi/2)^2]; its error is at most
+1e-17 (tests/kernel).
+"""
+
+COSINE_COEFFICIENTS = (
     4.646435932869834e-14,
     -1.1466252257937559e-11,
     2.0876681558822446e-09,
@@ -81,176 +93,193 @@ COSINE = (
     -0.0013888888888884767,
     0.04166666666666666,
 )
-"""(cos r - 1 + r^2 / 2) / r^4, likewise, at seven nodes; off by at most 1.2e-17."""
+"""Polynomial for (cos r - 1 + r^2 / 2) / r^4 in r^2, from seven nodes; error at most 1.2e-17."""
 
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-def ints(values: AnyArray | list[int]) -> Ints:
-    """The kernel's integers."""
+def int_array(values: AnyArray | list[int]) -> Ints:
+    """Array of 64-bit integers."""
     return np.array(values, dtype=np.int64)
 
 
-class Robot(NamedTuple):
-    """Links outward; `joint` holds cos and sin of the lean, offset, turn, its cos and sin."""
+class LinkArrays(NamedTuple):
+    """Arrays of a robot's links, carriers first.
 
-    coordinate: Ints
-    place: Ints  # of the link's motion in the workspace; places are used again
-    carrier: Ints  # of its carrier's
-    slides: Bools
-    square: Bools  # leans by a right angle
+    Each row of `joint` holds cosine and sine of the twist angle about x, the offset, the constant
+    angle about z, and its cosine and sine.
+    """
+
+    coordinate: Ints  # index of the joint, -1 for a resting frame
+    place: Ints  # index of the link's motion in the workspace; indices are reused
+    carrier: Ints  # index of the carrier's motion in the workspace
+    prismatic: Bools  # True for resting frames, too
+    square: Bools  # True if it leans by a right angle
     joint: Array
-    ground: Array  # the bedplate's acceleration less gravity
-    seeds: Array  # screws that never change
+    ground: Array  # acceleration of the bedplate less gravity
+    seeds: Array  # constant screws
 
 
-class Rows(NamedTuple):
-    """Which screws meet which links, and where their entries go."""
+class RowArrays(NamedTuple):
+    """Arrays that pair screws with links and assign row entries to slots.
 
-    first: Ints  # of a link's pairs with screws
-    source: Ints  # place of the screw on the carrier, or a seed's
-    target: Ints  # place of the screw here; the source's if it starts here
-    force: Bools
-    slot: Ints
-    direct: Bools  # its first entries can be written where they belong
-    rest: Bools  # it has entries that few bodies have
-    copies: Ints  # first of a pair's entries that are to be copied
-    copy_from: Ints  # entry of the kernel
-    copy_to: Ints  # slot
-    term_slot: Ints
-    term_link: Ints
-    term_law: Ints  # numbers of laws in LAWS
-    start: Ints  # of a channel's slots
-    width: Ints  # of a channel, measurement and padding included
-    measured: Ints  # slot of a channel's measurement
-    link: Ints  # of a channel's joint
-    group_size: Ints  # slots of a channel without the padding
-    group_gram: Ints  # where their products go
-    slots: int
-    block: int  # rows taken at once
+    A pair is the screw of a channel on one link. A slot is an array for one element of the
+    channel's row, with one number per sample.
+    """
+
+    first: Ints  # first pair of each link
+    source: Ints  # workspace index of the screw on the carrier, or of a constant screw
+    target: (
+        Ints  # workspace index of the screw on the link; equals source on the own link
+    )
+    force: Bools  # True if the screw has no angular part
+    slot: Ints  # first slot of the pair
+    direct: Bools  # True if the leading entries are written to the slots without a copy
+    has_extra: Bools  # True if there are other than leading entries
+    copies: Ints  # first copied entry of each pair
+    copy_from: Ints  # entry of each copy
+    copy_to: Ints  # slot of each copy
+    term_slot: Ints  # slot of each joint term
+    term_link: Ints  # link of each joint term
+    term_law: Ints  # index of its law in LAWS
+    start: Ints  # first slot of each channel
+    width: Ints  # number of slots of each channel, with measurement and padding
+    measured: Ints  # slot of each channel's measurement
+    link: Ints  # link of each channel's joint
+    group_size: Ints  # number of slots of each channel without padding
+    group_gram: Ints  # first product of each channel
+    slots: int  # number of all slots
+    block: int  # largest number of rows of a block
 
 
 REST_VARIANCE = 1000.0
-"""Of friction at rest, at every sample, over that of the noise: it is not known there."""
+"""Variance of the unknown friction at rest, per sample, relative to the noise variance."""
 
-LARGEST_VARIANCE = 10.0
-"""Of the same in a row, beside rows before, up to which the row counts."""
+MAX_REST_VARIANCE = 10.0
+"""Largest variance of a valid row due to friction at rest, relative to the noise variance.
 
-LARGEST_REST = 0.5
-"""Part of the square of a row's weights that may be at rest, too."""
+The variance is conditional on earlier rows.
+"""
+
+MAX_REST_SHARE = 0.5
+"""Largest share of the squared filter weights of a valid row at samples at rest."""
 
 
-UNKNOWN = -1
-"""Number of a law with no column of LAWS: the NumPy engine alone makes it."""
+NO_LAW = -1
+"""Index of a law without a compiled column: only the NumPy engine computes it."""
 
 
 def law_number(law: JointLaw) -> int:
-    """Number of a law's column among those of LAWS.
+    """Index of a law in JOINT_LAWS; `NO_LAW` if its column is not compiled.
 
     Args:
-        law: Of a joint's torque.
+        law: Law of a joint's torque.
     """
-    same = (
-        k for k, known in enumerate(LAWS) if known.column is law.column and not law.by
+    numbers = (
+        k
+        for k, known in enumerate(JOINT_LAWS)
+        if known.column is law.column and not law.by
     )
-    return next(same, UNKNOWN)
+    return next(numbers, NO_LAW)
 
 
-NONE, NO_LOAD = np.zeros((0, 0)), np.zeros(0)
+EMPTY_MATRIX, EMPTY_VECTOR = np.zeros((0, 0)), np.zeros(0)
+"""Default values of absent arrays."""
 
 
-class Signals(NamedTuple):
-    """A window of a recording, and which of its samples become rows."""
+class SignalWindow(NamedTuple):
+    """Window of a recording, with its filters and the samples at which rows are computed."""
 
     position: Array
-    velocity: Array  # empty where it is to be had from the positions
+    velocity: Array  # empty if computed from the positions
     acceleration: Array
-    measured: Array
+    measured: Array  # measured channels, (M, C)
     taps: Array  # convolution kernels of position, velocity, acceleration
-    weights: Array  # of the filter on rows; a single one for none
-    deadband: float  # joints that are slower rest
-    rest_reach: int  # rows of a joint that rests within so many samples do not count; 0: whitened
+    weights: Array  # filter of the rows; one weight for none
+    deadband: float  # speed up to which a joint is at rest
+    rest_reach: int  # rows within so many samples of a rest do not count; 0: whitened
     start: int  # sample of the first row
     step: int  # samples from row to row
-    number: int  # of rows
-    varying: Array = (
-        NONE  # time and temperatures, (M, 1 + n), where a law is multiplied by them
-    )
-    load: Array = (
-        NO_LOAD  # of the body columns, their values, (P',), where a law is of the load
-    )
-    counts: Array = (
-        NONE  # of samples, 1 or 0 where one is left out of a channel, (M, C)
-    )
+    row_count: int  # number of rows
+    # time and temperatures, (M, 1 + n), for laws that depend on them
+    covariates: Array = EMPTY_MATRIX
+    # values of the body columns' parameters, (P',), for laws that depend on the load
+    load: Array = EMPTY_VECTOR
+    # 1 for samples that count, 0 for others, by channel, (M, C)
+    sample_mask: Array = EMPTY_MATRIX
 
 
-def sensed(q: Array, qd: Array, qdd: Array, channels: int) -> Signals:
-    """A motion with its derivatives, every sample a row, without measurements.
+def signals_of_motion(q: Array, qd: Array, qdd: Array, channels: int) -> SignalWindow:
+    """Signals of a motion with known derivatives: one row per sample, no measurements.
 
     Args:
-        q: Positions, (M, n) [rad or m].
-        qd: Velocities, (M, n).
-        qdd: Accelerations, (M, n).
-        channels: How many are measured otherwise.
+        q: Joint positions, (M, n) [rad or m].
+        qd: Joint velocities, (M, n).
+        qdd: Joint accelerations, (M, n).
+        channels: Number of measured channels, filled with zeros.
     """
-    none, taps = np.zeros((len(q), channels)), np.array([[1.0], [0.0], [0.0]])
-    return Signals(q, qd, qdd, none, taps, np.ones(1), 0.0, 0, 0, 1, len(q))
+    measured, taps = np.zeros((len(q), channels)), np.array([[1.0], [0.0], [0.0]])
+    return SignalWindow(q, qd, qdd, measured, taps, np.ones(1), 0.0, 0, 0, 1, len(q))
 
 
-def blocks(signals: Signals, size: int) -> Iterator[tuple[int, Signals]]:
-    """A window cut into blocks of at most `size` rows, and the number of each one's first."""
-    for first in range(0, signals.number, size):
-        number = min(size, signals.number - first)
+def signal_blocks(
+    signals: SignalWindow, size: int
+) -> Iterator[tuple[int, SignalWindow]]:
+    """Index of the first row, and part of a window with at most `size` rows."""
+    for first in range(0, signals.row_count, size):
+        number = min(size, signals.row_count - first)
         start = signals.start + first * signals.step
-        yield first, signals._replace(start=start, number=number)
+        yield first, signals._replace(start=start, row_count=number)
 
 
 class Block(NamedTuple):
     """Consecutive rows of a window.
 
     Attributes:
-        first: Number of the first.
-        rows: (slots, rows).
-        used: How many of each channel count, (channels,).
+        first: Index of the first row.
+        rows: Values of all row elements (slots), (slots, rows).
+        counted: Number of valid rows of each channel, (channels,).
     """
 
     first: int
     rows: Array
-    used: Array
+    counted: Array
 
 
-class Work(NamedTuple):
-    """What one thread of the kernel writes to."""
+class Workspace(NamedTuple):
+    """Workspace of one thread of the kernel: flat arrays."""
 
-    U: Array  # coordinates
-    N: Array  # one encoder's neighbourhood
-    X: Array  # bodies
+    U: Array  # coordinate of each link and its two derivatives
+    N: Array  # positions of one encoder around a block, for the convolution
+    X: Array  # motions of bodies
     V: Array  # screws
-    T: Array  # entries of one body, before some are picked
-    Y: Array  # rows
+    T: Array  # entries of one pair, before they are copied to slots
+    Y: Array  # rows before filtering
     H: Array  # weights of the filter
-    G: Array  # what each row shares, at rests of its joint, with itself and rows before
+    G: Array  # band of shared weights at rests, of each row with itself and earlier rows
     Z: Array  # filtered rows
-    squares: Array  # sum of the squares of all that was read, one number or none
+    squares: Array  # sum of the squares of all samples that were read, (1,) or (0,)
 
 
 class Sums(NamedTuple):
-    """What a sweep of a window finds.
+    """Sums over the rows of a window.
 
     Attributes:
-        used: Rows of each channel that count.
-        products: Of all pairs of a channel's slots, lower triangles, channel by channel; or empty.
-        squares: Sum of the squares of all that was read, (1,): small only if all are numbers.
+        row_counts: Number of valid rows of each channel, (channels,).
+        products: Gram matrix of the columns of each channel, lower triangle, channel by channel;
+            may be empty.
+        squares: Sum of the squares of all samples that were read, (1,); finite only if all these
+            samples are finite.
     """
 
-    used: Array
+    row_counts: Array
     products: Array
     squares: Array
 
 
-def sums_for(rows: Rows) -> Sums:
-    """Room for the sums of a window, zero."""
+def zero_sums(rows: RowArrays) -> Sums:
+    """Sums of a window, initially zero."""
     products = int((rows.width**2).sum())
     return Sums(np.zeros(len(rows.measured)), np.zeros(products), np.zeros(1))

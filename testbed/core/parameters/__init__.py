@@ -1,5 +1,5 @@
-"""Barycentric parameters and minimal sets, [FRS96].
+"""Barycentric parameters and minimal sets (base parameters) of robots, [FRS96].
 
 In: a `Tree`.
-Out: `MinimalSet`: names, formulas and the matrix of regrouping, before any data.
+Out: `MinimalSet`: names, formulas and matrix of the base parameters, from the model alone.
 """

@@ -1,4 +1,8 @@
-"""Tips to base: entries of the regrouped bodies, and which of them stay independent."""
+"""Independent parameters of a minimal set, by elimination from the end bodies to the base.
+
+An entry is a candidate parameter: a linear form on the redefined parameters of a body that the
+regrouping rules keep. If some parameters are known to be zero, entries can be linearly dependent.
+"""
 
 from __future__ import annotations
 
@@ -9,110 +13,125 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.parameters.regroup import Body, redefined_parameters
-from testbed.core.parameters.rules import Kept, Model, across
-from testbed.core.parameters.symbols import UNIT_OF, Label, Symbol, Term
+from testbed.core.parameters.regroup import RegroupedBody, redefined_parameter_rows
+from testbed.core.parameters.rules import KeptParameter, Signal, triad_about
+from testbed.core.parameters.symbols import UNIT_BY_KIND, Label, Symbol, Term
 from testbed.core.robot.tree import Tree
 
 BEDPLATE = -1
-"""Index of the body that carries the first ones."""
+"""Body index of the bedplate, which carries the first bodies."""
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """A linear form of one body's ten redefined parameters.
+class CandidateParameter:
+    """Candidate parameter: a linear form on the ten redefined parameters of a body.
+
+    Redefined parameters are a body's barycentric parameters mbar, mb, K (mass, first moments,
+    inertia tensor) plus the parameters regrouped into them from the bodies that it carries.
 
     Attributes:
-        label: Its name.
-        unit: Of its value.
-        body: The body it belongs to, or BEDPLATE.
-        form: On that body's ten redefined parameters, (10,).
-        alone: The body's own ten for which it is 1, the body's others 0, and nothing
-            migrates, (10,); the bedplate has none.
-        axial: Whether it is the inertia that the body's own joint moves: K_ee, or mbar.
+        label: Symbolic name.
+        unit: Unit of the value.
+        body: Index of the body, or BEDPLATE.
+        form: Coefficients on the body's ten redefined parameters, (10,).
+        unit_direction: Ten parameters of the body for which this form is 1, the body's other forms
+            are 0, and no parameter migrates to the carrier, (10,); zero for the bedplate.
+        is_axial_inertia: True for the inertia that the body's joint accelerates: K_ee about a
+            revolute joint's axis e, or mbar of a prismatic joint.
     """
 
     label: Label
     unit: str
     body: int
     form: Array
-    alone: Array
-    axial: bool
+    unit_direction: Array
+    is_axial_inertia: bool
 
     @property
-    def joint(self) -> int:
-        """The joint that itself moves the inertia it is; -1 if it is none."""
-        return self.body if self.axial else -1
+    def axial_joint(self) -> int:
+        """Index of the joint for an axial inertia (K_ee or mbar); -1 for other parameters."""
+        return self.body if self.is_axial_inertia else -1
 
 
-def list_entries(
-    tree: Tree, bodies: Sequence[Body], model: Model, gravity: Array, tared: bool
-) -> list[Entry]:
-    """Everything kept, tips to base, and for the reaction the bedplate's static wrench.
+def candidate_parameters(
+    tree: Tree,
+    bodies: Sequence[RegroupedBody],
+    model: Signal,
+    gravity: Array,
+    tared: bool,
+) -> list[CandidateParameter]:
+    """Candidate parameters of all bodies, end bodies first, then of the static wrench.
+
+    Parameters of the static wrench are added for the bedplate's wrench under gravity, unless the
+    wrench is tared or the base moves.
 
     Args:
         tree: The robot.
-        bodies: Its bodies after regrouping.
-        model: "dynamic" or "reaction".
-        gravity: (3,) [m/s^2], bedplate frame.
-        tared: The bedplate's static wrench in one posture has been taken off.
+        bodies: Regrouped bodies.
+        model: "torque" or "wrench".
+        gravity: Gravity, (3,) [m/s^2], bedplate frame.
+        tared: True if the bedplate's static wrench in one posture has been subtracted.
     """
     entries = [
-        Entry(
-            kept_label(tree, j, kept),
-            UNIT_OF[kept.terms[0][1]],
+        CandidateParameter(
+            parameter_label(tree, j, parameter),
+            UNIT_BY_KIND[parameter.terms[0][1]],
             j,
-            kept.form,
-            kept.direction,
-            kept.axial,
+            parameter.form,
+            parameter.direction,
+            parameter.axial,
         )
         for j in reversed(range(tree.n))
-        for kept in bodies[j].row.kept
+        for parameter in bodies[j].row.parameters
     ]
-    if model == "reaction" and gravity.any() and not tared and not tree.lead:
-        entries += static_entries(tree, gravity)
+    if model == "wrench" and gravity.any() and not tared and not tree.lead:
+        entries += static_wrench_parameters(tree, gravity)
     return entries
 
 
-def kept_label(tree: Tree, body: int, kept: Kept) -> Label:
-    """Name of a kept parameter, such as mb*2z, 2*K3d, K*1zz, mbar1."""
-    carries = bool(tree.children(body))
+def parameter_label(tree: Tree, body: int, parameter: KeptParameter) -> Label:
+    """Label of a kept parameter, such as mb*2z, 2*K3d, K*1zz, mbar1."""
+    has_children = bool(tree.children(body))
     return Label(
         tuple(
             Term(
-                Symbol(head, (body + 1,), tail, carries and head != "mbar"),
+                Symbol(head, (body + 1,), tail, has_children and head != "mbar"),
                 ((factor, None),),
             )
-            for factor, head, tail in kept.terms
+            for factor, head, tail in parameter.terms
         )
     )
 
 
-def static_entries(tree: Tree, gravity: Array) -> list[Entry]:
-    """The base rule: F_0 = -M g, L_0 = -s x g; the mass M and s normal to g.
+def static_wrench_parameters(tree: Tree, gravity: Array) -> list[CandidateParameter]:
+    """Candidate parameters of the static wrench: total mass, first moment normal to gravity.
 
-    M is the sum of the first bodies' mbar, s their first moments and what has migrated
-    into the bedplate.
+    The wrench of the bedplate about its origin is F_0 = -M g, L_0 = -s x g. M is the sum of the
+    first bodies' mbar, s the sum of their first moments and of the parameters that migrate into the
+    bedplate; the two components of s are along the triad of `triad_about` gravity.
 
     Args:
         tree: The robot.
-        gravity: Not zero, (3,) [m/s^2], bedplate frame.
+        gravity: Gravity g, not zero, (3,) [m/s^2], bedplate frame.
     """
-    trunks = tree.children(BEDPLATE)
-    lone = trunks[0] + 1 if len(trunks) == 1 else 0
-    entries = [_static(Symbol("mbar", (lone,), ""), np.eye(10)[0])]
-    triad = across(gravity / np.linalg.norm(gravity))
+    first_bodies = tree.children(BEDPLATE)
+    number = first_bodies[0] + 1 if len(first_bodies) == 1 else 0
+    entries = [_static_entry(Symbol("mbar", (number,), ""), np.eye(10)[0])]
+    triad = triad_about(gravity / np.linalg.norm(gravity))
     for direction, letter in zip(triad.axes[:2], triad.letters[:2], strict=True):
         entries.append(
-            _static(Symbol("mb", (0,), letter, star=True), np.pad(direction, (1, 6)))
+            _static_entry(
+                Symbol("mb", (0,), letter, is_redefined=True), np.pad(direction, (1, 6))
+            )
         )
     return entries
 
 
-def _static(symbol: Symbol, form: Array) -> Entry:
-    return Entry(
+def _static_entry(symbol: Symbol, form: Array) -> CandidateParameter:
+    """Candidate parameter of the bedplate with the given symbol and form, (10,)."""
+    return CandidateParameter(
         Label((Term(symbol),)),
-        UNIT_OF[symbol.head],
+        UNIT_BY_KIND[symbol.head],
         BEDPLATE,
         form,
         np.zeros(10),
@@ -120,40 +139,50 @@ def _static(symbol: Symbol, form: Array) -> Entry:
     )
 
 
-def dynamic_first(
-    tree: Tree, entries: list[Entry], bodies: Sequence[Body], torques: Sequence[Body]
-) -> list[Entry]:
-    """The parameters shared with the dynamic set first, in its order; then K, mb, mbar.
+def shared_parameters_first(
+    tree: Tree,
+    entries: list[CandidateParameter],
+    bodies: Sequence[RegroupedBody],
+    torque_bodies: Sequence[RegroupedBody],
+) -> list[CandidateParameter]:
+    """Sort the entries of the wrench set, beginning with parameters shared with the torque set.
+
+    Shared parameters have the same label and coefficients in both sets, and the bodies beyond are
+    regrouped in the same way. They are in the order of the torque set. The other parameters follow
+    body by body, end bodies first, in the order K, mb, mbar.
 
     Args:
         tree: The robot.
-        entries: The reaction's.
-        bodies: Regrouped for the reaction.
-        torques: Regrouped for the joint torques.
+        entries: Candidate parameters of the wrench set.
+        bodies: Bodies regrouped for the wrench.
+        torque_bodies: Bodies regrouped for the joint torques.
     """
-    differing = set()  # bodies that carry something which is regrouped in another way
+    differing = set()  # bodies that carry a body with another regrouping
     for j in reversed(range(tree.n)):
-        if j in differing or not np.array_equal(bodies[j].passing, torques[j].passing):
+        if j in differing or not np.array_equal(
+            bodies[j].gain_by_offset, torque_bodies[j].gain_by_offset
+        ):
             differing.add(tree.parents[j])
     shared = {
-        (kept_label(tree, j, kept), *kept.form): k
+        (parameter_label(tree, j, parameter), *parameter.form): k
         for j in range(tree.n)
-        for k, kept in enumerate(torques[j].row.kept)
+        for k, parameter in enumerate(torque_bodies[j].row.parameters)
         if j not in differing
     }
     units = ("kg m^2", "kg m", "kg")
 
-    def key(entry: Entry) -> tuple[bool, int, int]:
+    def key(entry: CandidateParameter) -> tuple[bool, int, int]:
         k = shared.get((entry.label, *entry.form)) if entry.body >= 0 else None
         return (k is None, -entry.body, units.index(entry.unit) if k is None else k)
 
     return sorted(entries, key=key)
 
 
-def passed_on(tree: Tree, bodies: Sequence[Body], body: int) -> Array:
-    """What a body's ten redefined parameters add to its carrier's, (10, 10).
+def carrier_gain(tree: Tree, bodies: Sequence[RegroupedBody], body: int) -> Array:
+    """Gain matrix from a body's ten redefined parameters to its carrier's, (10, 10).
 
-    A carrier holds the masses it carries already; to the bedplate they are passed on.
+    The barycentric parameters of a carrying body already contain the carried masses. The gain
+    matrix therefore adds mass and first moment to the bedplate only.
     """
     if tree.parents[body] >= 0:
         return bodies[body].gain
@@ -163,53 +192,57 @@ def passed_on(tree: Tree, bodies: Sequence[Body], body: int) -> Array:
     return gain
 
 
-def dense_rows(tree: Tree, bodies: Sequence[Body], entries: Sequence[Entry]) -> Array:
-    """The entries on the 10 n barycentric parameters, (entries, 10 n)."""
-    redefined = redefined_parameters(tree, bodies)
+def barycentric_rows(
+    tree: Tree, bodies: Sequence[RegroupedBody], entries: Sequence[CandidateParameter]
+) -> Array:
+    """Coefficients of candidate parameters on the barycentric parameters, (entries, 10 n)."""
+    redefined = redefined_parameter_rows(tree, bodies)
     if any(entry.body == BEDPLATE for entry in entries):
-        trunks = tree.children(BEDPLATE)
-        bedplate = sum(passed_on(tree, bodies, j) @ redefined[j] for j in trunks)
+        first_bodies = tree.children(BEDPLATE)
+        bedplate = sum(
+            carrier_gain(tree, bodies, j) @ redefined[j] for j in first_bodies
+        )
         redefined = np.concatenate([redefined, bedplate[None]])
     rows = [entry.form @ redefined[entry.body] for entry in entries]
     return np.reshape(rows, (-1, 10 * tree.n))
 
 
-INDEPENDENT = 1e-9
-"""What unit parameters must change of an entry, or of a carrier, for it to count."""
+PIVOT_TOLERANCE = 1e-9
+"""Smallest change of an entry or of a carrier by unit parameters that is not a rounding error."""
 
-ROUNDING = 1e-13
-"""Part of a direction's largest parameter that is rounding of zero."""
+ROUNDING_TOLERANCE = 1e-13
+"""Share of a direction's largest parameter below which a value is a rounding error of zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """Independent entries, and how the others depend on them.
+    """Independent candidate parameters (entries), and dependencies of the others on these.
 
     Attributes:
-        kept: Indices of the independent entries, ascending.
-        lift: By column for each of these, barycentric parameters for which it is 1 and all
-            others kept are 0, (10 n, kept).
-        dependent: By index, the other entries as combinations of kept ones; empty for
-            entries that vanish.
+        independent_indices: Indices of the independent entries, ascending.
+        right_inverse: Barycentric parameters for which one independent entry is 1 and the others
+            are 0, one column per independent entry, (10 n, independent).
+        dependencies: Coefficients of each dependent entry on the independent entries, keyed by
+            their indices; empty for entries that are zero.
     """
 
-    kept: tuple[int, ...]
-    lift: Array
-    dependent: dict[int, dict[int, float]]
+    independent_indices: tuple[int, ...]
+    right_inverse: Array
+    dependencies: dict[int, dict[int, float]]
 
 
-FREE = -1
-"""Index of the entry of a direction that changes none."""
+NO_ENTRY = -1
+"""Entry index of a direction that changes no entry."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Directions:
-    """Directions in which a body and those that it carries can change.
+    """Directions of change of the parameters of a body and its carried bodies.
 
     Attributes:
-        rows: The body's ten redefined parameters, then the barycentric parameters of all bodies
-            that have these, (k, 10 + 10 n).
-        entries: Index of the only entry that each changes, by one, or FREE, (k,).
+        rows: Changes of the body's ten redefined parameters, followed by the changes of all
+            barycentric parameters that cause these, (k, 10 + 10 n).
+        entries: Index of the only entry that each direction changes (by 1), or NO_ENTRY, (k,).
     """
 
     rows: Array
@@ -217,73 +250,90 @@ class _Directions:
 
     @property
     def sizes(self) -> Array:
-        """Largest magnitudes of the barycentric parameters, (k,)."""
+        """Largest magnitude of the barycentric parameters in each direction, (k,)."""
         return np.asarray(np.abs(self.rows[:, 10:]).max(axis=1))
 
-    def of(self, which: NDArray[np.bool_ | np.intp]) -> _Directions:
-        """Some of them, by mask or index."""
-        return _Directions(self.rows[which], self.entries[which])
+    def subset(self, selection: NDArray[np.bool_ | np.intp]) -> _Directions:
+        """Subset of the directions, given by a mask or by indices."""
+        return _Directions(self.rows[selection], self.entries[selection])
 
-    def beside(self, other: _Directions) -> _Directions:
-        """These, then others."""
+    def union(self, other: _Directions) -> _Directions:
+        """Directions of this set, followed by the directions of another set."""
         entries = np.concatenate([self.entries, other.entries])
         return _Directions(np.vstack([self.rows, other.rows]), entries)
 
 
-def eliminate(
+def find_independent(
     tree: Tree,
-    bodies: Sequence[Body],
-    entries: Sequence[Entry],
+    bodies: Sequence[RegroupedBody],
+    entries: Sequence[CandidateParameter],
     known_zero: NDArray[np.bool_],
 ) -> Elimination:
-    """Decide which entries are independent.
+    """Find the independent entries by elimination from the end bodies to the base.
 
-    Of dependent entries of one body, those given first are kept; of several bodies, those
-    nearest the tips.
+    Among dependent entries of one body, the first ones are kept; among those of several bodies, the
+    entries of the bodies farthest from the base.
 
     Args:
         tree: The robot.
-        bodies: Its bodies after regrouping.
-        entries: Candidates.
-        known_zero: Barycentric parameters known to be zero, (n, 10).
+        bodies: Regrouped bodies.
+        entries: Candidate parameters.
+        known_zero: True for barycentric parameters known to be zero, (n, 10).
     """
-    whole = [not row.any() for row in known_zero]
-    members: dict[int, dict[int, Entry]] = {
+    unconstrained = [not row.any() for row in known_zero]
+    body_entries: dict[int, dict[int, CandidateParameter]] = {
         body: {} for body in range(BEDPLATE, tree.n)
     }
     for k, entry in enumerate(entries):
-        members[entry.body][k] = entry
-    settled = _of_a_body(tree.n, 0, [], FREE)
-    carried = dict.fromkeys(members, settled)
+        body_entries[entry.body][k] = entry
+    finished = _own_directions(tree.n, 0, [], NO_ENTRY)
+    carried_directions = dict.fromkeys(body_entries, finished)
     dependent: dict[int, dict[int, float]] = {}
     for body in reversed(range(tree.n)):
-        carrier, directions = tree.parents[body], carried[body]
-        if carrier != BEDPLATE and whole[body] and whole[carrier]:
-            done = _undisturbed(tree.n, body, members[body], directions)
-        else:
-            directions = _free(tree.n, body, members[body], known_zero[body]).beside(
-                directions
+        carrier, directions = tree.parents[body], carried_directions[body]
+        if carrier != BEDPLATE and unconstrained[body] and unconstrained[carrier]:
+            new_finished = _unconstrained_directions(
+                tree.n, body, body_entries[body], directions
             )
-            directions, combined = _chosen(members[body], directions)
-            dependent |= combined
-            done, passed = _passed(directions, passed_on(tree, bodies, body))
-            carried[carrier] = carried[carrier].beside(passed)
-        settled = settled.beside(done)
-    directions, combined = _chosen(members[BEDPLATE], carried[BEDPLATE])
-    settled = settled.beside(directions.of(directions.entries != FREE))
-    settled = settled.of(np.argsort(settled.entries))
+        else:
+            directions = _free_directions(
+                tree.n, body, body_entries[body], known_zero[body]
+            ).union(directions)
+            directions, combinations = _assign_entries(body_entries[body], directions)
+            dependent |= combinations
+            new_finished, passed_directions = _carrier_directions(
+                directions, carrier_gain(tree, bodies, body)
+            )
+            carried_directions[carrier] = carried_directions[carrier].union(
+                passed_directions
+            )
+        finished = finished.union(new_finished)
+    directions, combinations = _assign_entries(
+        body_entries[BEDPLATE], carried_directions[BEDPLATE]
+    )
+    finished = finished.union(directions.subset(directions.entries != NO_ENTRY))
+    finished = finished.subset(np.argsort(finished.entries))
     lift = np.where(
-        np.abs(settled.rows) > ROUNDING * settled.sizes[:, None], settled.rows, 0.0
+        np.abs(finished.rows) > ROUNDING_TOLERANCE * finished.sizes[:, None],
+        finished.rows,
+        0.0,
     )
     return Elimination(
-        tuple(settled.entries.tolist()), lift[:, 10:].T, dependent | combined
+        tuple(finished.entries.tolist()), lift[:, 10:].T, dependent | combinations
     )
 
 
-def _of_a_body(
+def _own_directions(
     n: int, body: int, values: Sequence[Array], entries: int | Sequence[int]
 ) -> _Directions:
-    """Directions of a body's own parameters, (k, 10)."""
+    """Directions that change only the parameters of one body.
+
+    Args:
+        n: Number of bodies.
+        body: Index of the body.
+        values: Changes of the body's ten parameters, (10,) each.
+        entries: Index of the entry that each direction changes, or NO_ENTRY.
+    """
     rows = np.zeros((len(values), n + 1, 10))
     rows[:, 0] = rows[:, body + 1] = np.reshape(values, (-1, 10))
     return _Directions(
@@ -291,94 +341,149 @@ def _of_a_body(
     )
 
 
-def _undisturbed(
-    n: int, body: int, own: dict[int, Entry], directions: _Directions
+def _unconstrained_directions(
+    n: int, body: int, entries: dict[int, CandidateParameter], directions: _Directions
 ) -> _Directions:
-    """Where nothing is known of a body and its carrier: all entries, nothing passed on."""
-    bound = directions.of(directions.entries != FREE)
-    # the body's own parameters make up for what it was passed
-    rows = bound.rows - _of_a_body(n, body, [*bound.rows[:, :10]], FREE).rows
-    alone = _of_a_body(n, body, [entry.alone for entry in own.values()], [*own])
-    return alone.beside(_Directions(rows, bound.entries))
+    """Directions of change for all entries of a body without known zeros.
+
+    The result contains the unit direction of each entry of the body, and the directions of the
+    carried bodies' entries, compensated by the body's own parameters. The carrier, which must have
+    no known zeros either, is therefore not changed.
+
+    Args:
+        n: Number of bodies.
+        body: Index of the body.
+        entries: Candidate parameters of the body, by index.
+        directions: Directions passed on by the carried bodies.
+    """
+    assigned = directions.subset(directions.entries != NO_ENTRY)
+    # the body's own parameters compensate for what was passed to the body
+    rows = (
+        assigned.rows
+        - _own_directions(n, body, [*assigned.rows[:, :10]], NO_ENTRY).rows
+    )
+    unit_directions = _own_directions(
+        n, body, [entry.unit_direction for entry in entries.values()], [*entries]
+    )
+    return unit_directions.union(_Directions(rows, assigned.entries))
 
 
-def _free(
-    n: int, body: int, own: dict[int, Entry], known_zero: NDArray[np.bool_]
+def _free_directions(
+    n: int,
+    body: int,
+    entries: dict[int, CandidateParameter],
+    known_zero: NDArray[np.bool_],
 ) -> _Directions:
-    """Directions of a body's own parameters: its entries' alone, and single parameters."""
-    alone = (entry.alone for entry in own.values())
+    """Directions of change of a body's own parameters that keep known zeros at zero.
+
+    Directions that change a single entry of the body come first, then single parameters. These
+    directions are not yet assigned to entries.
+
+    Args:
+        n: Number of bodies.
+        body: Index of the body.
+        entries: Candidate parameters of the body, by index.
+        known_zero: True for parameters of the body known to be zero, (10,).
+    """
+    unit_directions = (entry.unit_direction for entry in entries.values())
     values = [
-        *(each for each in alone if not each[known_zero].any()),
+        *(each for each in unit_directions if not each[known_zero].any()),
         *np.eye(10)[~known_zero],
     ]
-    return _of_a_body(n, body, values, FREE)
+    return _own_directions(n, body, values, NO_ENTRY)
 
 
-def _chosen(
-    own: dict[int, Entry], directions: _Directions
+def _assign_entries(
+    body_entries: dict[int, CandidateParameter], directions: _Directions
 ) -> tuple[_Directions, dict[int, dict[int, float]]]:
-    """Directions for a body's entries, out of free ones.
+    """Assign free directions of change to a body's entries by Gaussian elimination.
+
+    The pivot of an entry is the first free direction with at least a tenth of the largest change,
+    relative to the size of the direction. If no change exceeds PIVOT_TOLERANCE, the entry depends
+    on the entries that already have a direction.
+
+    Args:
+        body_entries: Candidate parameters of the body, by index.
+        directions: Free directions, and directions of carried bodies' entries.
 
     Returns:
-        Directions of this body's entries and of those before, each without effect on the
-        others, and those left free; and the entries that are combinations of others.
+        Directions that each change a single entry of this or of a carried body, with the remaining
+        free directions; and coefficients of the dependent entries, keyed by index.
     """
-    combined = {}
-    for k, entry in own.items():
+    combinations = {}
+    for k, entry in body_entries.items():
         rows, entries, sizes = directions.rows, directions.entries, directions.sizes
         change = rows[:, :10] @ entry.form
-        weights = np.where(entries == FREE, np.abs(change) / sizes, 0.0)
-        great = weights.max(initial=0.0)
-        if great <= INDEPENDENT:
-            shares = np.flatnonzero((entries != FREE) & (np.abs(change) > INDEPENDENT))
-            combined[k] = {int(entries[i]): float(change[i]) for i in shares}
+        weights = np.where(entries == NO_ENTRY, np.abs(change) / sizes, 0.0)
+        largest = weights.max(initial=0.0)
+        if largest <= PIVOT_TOLERANCE:
+            shares = np.flatnonzero(
+                (entries != NO_ENTRY) & (np.abs(change) > PIVOT_TOLERANCE)
+            )
+            combinations[k] = {int(entries[i]): float(change[i]) for i in shares}
             continue
-        # of directions that change an entry, the first with this share of the greatest change is
-        # taken: the body's own come first
-        first = int(np.argmax(weights >= 0.1 * great))
+        # the first direction with this share of the largest change: the body's own directions
+        # come first
+        first = int(np.argmax(weights >= 0.1 * largest))
         pivot = rows[first] * (1.0 / change[first])
-        rest = _Directions(rows - np.outer(change, pivot), entries.copy())
-        rest.rows[first], rest.entries[first] = pivot, k
-        directions = rest.of((rest.entries != FREE) | (rest.sizes > ROUNDING * sizes))
-    return directions, combined
+        reduced = _Directions(rows - np.outer(change, pivot), entries.copy())
+        reduced.rows[first], reduced.entries[first] = pivot, k
+        directions = reduced.subset(
+            (reduced.entries != NO_ENTRY) | (reduced.sizes > ROUNDING_TOLERANCE * sizes)
+        )
+    return directions, combinations
 
 
-def _passed(directions: _Directions, gain: Array) -> tuple[_Directions, _Directions]:
-    """Directions as they change the carrier.
+def _carrier_directions(
+    directions: _Directions, gain: Array
+) -> tuple[_Directions, _Directions]:
+    """Convert directions of a body to changes of the carrier's parameters.
+
+    Free directions are reduced to row echelon form. Their pivots are eliminated from the other
+    directions.
 
     Args:
-        directions: Of a body.
-        gain: What its ten redefined parameters add to its carrier's, (10, 10).
+        directions: Directions of the body.
+        gain: Gain matrix from the body's ten redefined parameters to the carrier's, (10, 10).
 
     Returns:
-        Those that change an entry and nothing of the carrier; and the others.
+        Directions that change an entry but no parameter of the carrier; and the other directions.
     """
     rows = np.hstack([directions.rows[:, :10] @ gain.T, directions.rows[:, 10:]])
-    free = directions.entries == FREE
-    places, basis = echelon(rows[free], 10)
-    bound = _Directions(rows - rows[:, places] @ basis, directions.entries).of(~free)
-    done = np.abs(bound.rows[:, :10]).max(axis=1) <= ROUNDING * bound.sizes
-    spare = _Directions(basis, np.full(len(basis), FREE))
-    return bound.of(done), spare.beside(bound.of(~done))
+    is_free = directions.entries == NO_ENTRY
+    pivots, basis = reduced_row_echelon(rows[is_free], 10)
+    assigned = _Directions(rows - rows[:, pivots] @ basis, directions.entries).subset(
+        ~is_free
+    )
+    has_no_effect = (
+        np.abs(assigned.rows[:, :10]).max(axis=1) <= ROUNDING_TOLERANCE * assigned.sizes
+    )
+    free_directions = _Directions(basis, np.full(len(basis), NO_ENTRY))
+    return assigned.subset(has_no_effect), free_directions.union(
+        assigned.subset(~has_no_effect)
+    )
 
 
-def echelon(rows: Array, width: int) -> tuple[list[int], Array]:
-    """Independent directions for the same space: each alone has 1 at its own place.
+def reduced_row_echelon(rows: Array, width: int) -> tuple[list[int], Array]:
+    """Reduced row echelon form of directions: pivot columns, and independent rows.
+
+    A row is left out if its largest remainder is at most PIVOT_TOLERANCE times its size.
 
     Args:
-        rows: (k, N); places are among the first `width` columns, the others give the size.
-        width: See there.
+        rows: Directions, (k, N); the columns from index `width` on determine the size of a row.
+        width: Number of leading columns that may contain pivots.
 
     Returns:
-        The places, and the directions, (places, N).
+        Pivot columns; and rows with 1 in their own pivot column and 0 in the other pivot columns,
+        (pivots, N).
     """
-    places: list[int] = []
+    pivots: list[int] = []
     basis = rows[:0]
     for row in rows:
-        rest = row - row[places] @ basis
-        place = int(np.argmax(np.abs(rest[:width])))
-        if abs(rest[place]) > INDEPENDENT * np.abs(row[width:]).max():
-            rest = rest * (1.0 / rest[place])
-            basis = np.vstack([basis - np.outer(basis[:, place], rest), rest])
-            places.append(place)
-    return places, basis
+        remainder = row - row[pivots] @ basis
+        pivot = int(np.argmax(np.abs(remainder[:width])))
+        if abs(remainder[pivot]) > PIVOT_TOLERANCE * np.abs(row[width:]).max():
+            remainder = remainder * (1.0 / remainder[pivot])
+            basis = np.vstack([basis - np.outer(basis[:, pivot], remainder), remainder])
+            pivots.append(pivot)
+    return pivots, basis

@@ -1,11 +1,12 @@
-"""Bodies and drives together: which term of a joint has a column of its own.
+"""Minimal set of bodies and joint terms together, and regrouping of rotor inertias.
 
-The joint torques hold, besides the bodies' dynamics, terms of the joints themselves: a rotor
-adds qdd_j to row j, an offset a constant, friction functions of qd_j. Friction always has
-columns of its own, because without it the torques are even in the velocities. A rotor has
-one unless nothing but the joint's own acceleration identifies the inertia it adds to; then
-both are one number, the minimal parameter of that inertia. An offset has one always; where
-a rotor is regrouped with a mass of constant weight, the offset takes up the weight.
+In addition to the dynamics of the bodies, joint torques contain joint terms. In row j of the
+regressor, a rotor has the column qdd_j, an offset a constant, and friction has functions of qd_j.
+Friction always has separate columns, because torques without friction are even functions of the
+velocities. A rotor has a separate column unless the inertia to which it adds is identified by the
+joint's own acceleration only; then rotor and inertia are regrouped into one minimal parameter. An
+offset always has a separate column. If a rotor is regrouped with a mass of constant weight, the
+offset contains this weight.
 
 Source    derived for this project (docs/minimal-sets.md)
 """
@@ -21,31 +22,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.core.base.arrays import Array, readonly
-from testbed.core.base.codec import named
+from testbed.core.base.arrays import Array, readonly_array
+from testbed.core.base.codec import schema_by_name
 from testbed.core.base.summary_table import Value
-from testbed.core.parameters.elimination import INDEPENDENT, echelon
+from testbed.core.parameters.elimination import PIVOT_TOLERANCE, reduced_row_echelon
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.parameters.regroup import NEW, Lengths, beyond, seen_wrenches
+from testbed.core.parameters.regroup import (
+    INDEPENDENCE_TOLERANCE,
+    LengthNotation,
+    composite_functionals,
+    orthogonal_part,
+)
 from testbed.core.parameters.symbols import DriveSymbol, Formula, Label, Term
-from testbed.core.robot.friction import CONSTANTS, ROTOR, JointTerm, joint_terms
+from testbed.core.robot.friction import CONSTANT_LAWS, ROTOR, JointTerm, joint_terms
 from testbed.core.robot.joint_law import JointLaw
-from testbed.core.robot.shafts import places
+from testbed.core.robot.shafts import joint_and_shaft_names
 from testbed.core.robot.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
 class DriveSet(Value):
-    """The minimal parameters of bodies and drives together, for the joint torques.
+    """Minimal parameters of bodies and drives together, for the joint torques.
 
-    The unknowns are the minimal parameters of the bodies, to which regrouped terms may have
-    been added, and then the terms with a column of their own.
+    The unknowns are the minimal parameters of the bodies, which may include regrouped terms, then
+    the terms with a separate regressor column.
 
     Attributes:
-        minimal: The dynamic set.
-        asked: All terms, law by law, each in tree order.
-        terms: Those with a column of their own, in the same order.
-        columns: What a unit of every asked term adds to the unknowns, (count, asked).
+        minimal: Minimal set of the bodies for joint torques.
+        asked: All requested terms, law by law, each in tree order.
+        terms: Requested terms with a separate column, in the same order.
+        columns: Contribution of a unit of each requested term to the unknowns, (count, asked).
         tree: The robot; only its geometry and its shafts matter.
     """
 
@@ -55,8 +61,8 @@ class DriveSet(Value):
     columns: Array
     tree: Tree
 
-    __get_pydantic_core_schema__ = named(
-        lambda found: [term.name(found.tree) for term in found.asked]
+    __get_pydantic_core_schema__ = schema_by_name(
+        lambda drive_set: [term.name(drive_set.tree) for term in drive_set.asked]
     )
 
     @property
@@ -66,49 +72,53 @@ class DriveSet(Value):
 
     @cached_property
     def regrouped(self) -> Mapping[JointTerm, Array]:
-        """Terms without a column of their own: what each adds to the unknowns, (count,)."""
-        own = set(self.terms)
+        """Contribution of each term without a separate column to the unknowns, (count,)."""
+        with_column = set(self.terms)
         return {
             term: self.columns[:, k]
             for k, term in enumerate(self.asked)
-            if term not in own
+            if term not in with_column
         }
 
     @cached_property
     def labels(self) -> tuple[Label, ...]:
-        """Names as values: what each unknown is the sum of."""
+        """Symbolic names of the unknowns: sums of minimal parameters and regrouped terms."""
         own = (Label((Term(self.symbol(term)),)) for term in self.terms)
         plain = (*self.minimal.labels, *own)
         return tuple(
-            Label((*label.terms, *self._added(k))) for k, label in enumerate(plain)
+            Label((*label.terms, *self._regrouped_terms(k)))
+            for k, label in enumerate(plain)
         )
 
     @property
     def names(self) -> tuple[str, ...]:
-        """One an unknown: K3yy, K*1zz+rotor/waist, coulomb/waist, ..."""
+        """Names of the unknowns: K3yy, K*1zz+rotor/waist, coulomb/waist, ..."""
         return tuple(label.text for label in self.labels)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """One an unknown."""
+        """Unit of each unknown."""
         return (*self.minimal.units, *(term.unit(self.tree) for term in self.terms))
 
     @cached_property
     def matrix(self) -> Array:
-        """The unknowns on the 10 n barycentric parameters and the asked terms."""
+        """Matrix of the unknowns on barycentric parameters and requested terms.
+
+        The shape is (count, 10 n + requested terms); the terms are in the order of `asked`.
+        """
         n = self.minimal.matrix.shape[1]
         matrix = np.zeros((self.count, n + len(self.asked)))
         matrix[: self.minimal.count, :n] = self.minimal.matrix
         matrix[:, n:] = self.columns
-        return readonly(matrix, matrix.shape, "matrix")
+        return readonly_array(matrix, matrix.shape, "matrix")
 
     @cached_property
     def formulas(self) -> tuple[Formula, ...]:
-        """How each is made up: K*1zz + rotor/waist = K1zz + K*2xx/2 + ... + rotor/waist."""
+        """Formulas of the unknowns: K*1zz + rotor/waist = K1zz + K*2xx/2 + ... + rotor/waist."""
         return self.formulas_with("symbols")
 
-    def formulas_with(self, lengths: Lengths) -> tuple[Formula, ...]:
-        """The formulas, with the model's lengths as symbols or as numbers.
+    def formulas_with(self, lengths: LengthNotation) -> tuple[Formula, ...]:
+        """Formulas of the unknowns, with lengths as symbols or as numbers.
 
         Args:
             lengths: "symbols" prints l12z, "numbers" its value.
@@ -116,7 +126,7 @@ class DriveSet(Value):
         own = ((Term(self.symbol(term)),) for term in self.terms)
         plain = (*(f.right for f in self.minimal.formulas_with(lengths)), *own)
         return tuple(
-            Formula(label, (*right, *self._added(k)))
+            Formula(label, (*right, *self._regrouped_terms(k)))
             for k, (label, right) in enumerate(zip(self.labels, plain, strict=True))
         )
 
@@ -126,12 +136,12 @@ class DriveSet(Value):
         tree: Tree,
         added: Mapping[JointLaw, Any] = MappingProxyType({}),
     ) -> Array:
-        """The unknowns, (count,).
+        """Values of the unknowns, (count,).
 
         Args:
             theta: Barycentric parameters, (n, 10).
-            tree: Gives the coefficients of the terms.
-            added: To a law's coefficients, one or (n,).
+            tree: Robot with the coefficients of the terms; terms of shafts have the value 0.
+            added: Values added to the coefficients, keyed by law; a number or (n,) each.
         """
         terms = [
             (term.law.coefficients(tree) + added.get(term.law, 0.0))[term.joint]
@@ -139,16 +149,20 @@ class DriveSet(Value):
             else 0.0
             for term in self.asked
         ]
-        found: Array = self.columns @ np.array(terms)
-        found[: self.minimal.count] += self.minimal.values(theta)
-        return found
+        unknowns: Array = self.columns @ np.array(terms)
+        unknowns[: self.minimal.count] += self.minimal.values(theta)
+        return unknowns
 
     def symbol(self, term: JointTerm) -> DriveSymbol:
-        """Name of a term as a value: rotor/waist."""
-        return DriveSymbol(term.law.kind, places(self.tree)[term.joint])
+        """Symbol of a joint term, such as rotor/waist."""
+        return DriveSymbol(term.law.kind, joint_and_shaft_names(self.tree)[term.joint])
 
-    def _added(self, unknown: int) -> Iterator[Term]:
-        """Terms without a column of their own that add to an unknown."""
+    def _regrouped_terms(self, unknown: int) -> Iterator[Term]:
+        """Terms without a separate column that are part of an unknown, with coefficients.
+
+        Args:
+            unknown: Index of the unknown.
+        """
         for term, column in self.regrouped.items():
             if column[unknown]:
                 yield Term(self.symbol(term), ((float(column[unknown]), None),))
@@ -157,94 +171,127 @@ class DriveSet(Value):
 def with_joint_terms(
     tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]
 ) -> DriveSet:
-    """The minimal set of bodies and drives together, exact and before any data.
+    """Minimal set of bodies and joint terms together, from the model alone.
+
+    A rotor inertia is added to the axial inertia of its joint if that inertia is identified by the
+    joint's own acceleration only; all other terms have a separate regressor column.
 
     Args:
         tree: The robot; only its geometry matters.
-        minimal: Its dynamic set.
-        laws: Of the joints' own torque, by name or as values; each holds at every joint, or, as
-            "rotor/elbow", at one. Laws of one's own are taken for friction: functions of the
-            velocity that are odd in it. Shafts are left out: see `drive_set`.
+        minimal: Minimal set of the joint torques.
+        laws: Joint laws, as names or as values; a law applies to every joint or, in the form
+            "rotor/elbow", to a single joint. User-defined laws are treated as friction, an odd
+            function of the velocity. Terms of shafts are left out: see `drive_set`.
 
     Raises:
-        UnknownName: There is no such law or joint.
-        ValueError: The set is not the joint torques'.
+        UnknownName: A law or joint does not exist.
+        ValueError: The set is not a minimal set of the joint torques.
     """
-    if minimal.model != "dynamic":
+    if minimal.model != "torque":
         raise ValueError(
             f"joint terms belong to the dynamic set, this is the {minimal.model} one"
         )
-    asked = tuple(term for term in joint_terms(tree, laws) if term.joint < tree.n)
-    rotors = {term.joint for term in asked if term.law == ROTOR}
-    offsets = {term.joint: term for term in asked if term.law in CONSTANTS}
-    lone = _lone(tree, minimal.gravity, offsets) if rotors else {}
-    lone = {joint: force for joint, force in lone.items() if joint in rotors}
-    shares = _rotor_shares(minimal, list(lone))
-    regrouped = {joint: k for k, joint in enumerate(lone) if shares[k, k]}
+    requested = tuple(term for term in joint_terms(tree, laws) if term.joint < tree.n)
+    rotors = {term.joint for term in requested if term.law == ROTOR}
+    offsets = {term.joint: term for term in requested if term.law in CONSTANT_LAWS}
+    isolated = _isolated_joints(tree, minimal.gravity, offsets) if rotors else {}
+    isolated = {joint: force for joint, force in isolated.items() if joint in rotors}
+    shares = _rotor_shares(minimal, list(isolated))
+    regrouped = {joint: k for k, joint in enumerate(isolated) if shares[k, k]}
     terms = tuple(
-        term for term in asked if term.law != ROTOR or term.joint not in regrouped
+        term for term in requested if term.law != ROTOR or term.joint not in regrouped
     )
-    place = {term: minimal.count + k for k, term in enumerate(terms)}
-    columns = np.zeros((minimal.count + len(terms), len(asked)))
-    for column, term in zip(columns.T, asked, strict=True):
-        if term in place:
-            column[place[term]] = 1.0
+    positions = {term: minimal.count + k for k, term in enumerate(terms)}
+    columns = np.zeros((minimal.count + len(terms), len(requested)))
+    for column, term in zip(columns.T, requested, strict=True):
+        if term in positions:
+            column[positions[term]] = 1.0
             continue
-        share = dict(zip(lone, shares[:, regrouped[term.joint]], strict=True))
+        share = dict(zip(isolated, shares[:, regrouped[term.joint]], strict=True))
         column[: minimal.count] = [share.get(joint, 0.0) for joint in minimal.axial]
-        for joint, force in lone.items():
+        for joint, force in isolated.items():
             if joint not in regrouped:
-                column[place[JointTerm(ROTOR, joint)]] = -share[joint]
+                column[positions[JointTerm(ROTOR, joint)]] = -share[joint]
             if force:
-                column[place[offsets[joint]]] = -force * share[joint]
+                column[positions[offsets[joint]]] = -force * share[joint]
     return DriveSet(
-        minimal, asked, terms, readonly(columns, columns.shape, "columns"), tree
+        minimal,
+        requested,
+        terms,
+        readonly_array(columns, columns.shape, "columns"),
+        tree,
     )
 
 
-def _rotor_shares(minimal: MinimalSet, lone: list[int]) -> Array:
-    """Share of each lone joint's rotor that the inertia which another one moves holds.
+def _rotor_shares(minimal: MinimalSet, joints: list[int]) -> Array:
+    """Contributions of rotors to the axial inertias of isolated joints, (joints, joints).
 
-    A rotor adds to the minimal parameter that is its joint's inertia. Where known zeros make
-    this a combination of others, or others a combination of such, its rotors are identifiable.
+    A joint is isolated if its axial inertia is identified by its own acceleration only. Its rotor
+    then adds to the minimal parameter that is this axial inertia. If known zeros make such an
+    inertia a combination of other parameters, or another parameter a combination of such inertias,
+    the corresponding combination of rotors is identifiable.
+
+    Args:
+        minimal: Minimal set of the joint torques.
+        joints: Indices of the isolated joints with a rotor.
 
     Returns:
-        By joint that moves the inertia and joint of the rotor, (lone, lone); zero columns for
-        rotors with a column of their own.
+        Matrix with one row per joint of the inertia and one column per joint of the rotor; columns
+        of rotors that have a separate regressor column are zero.
     """
-    position = {joint: k for k, joint in enumerate(lone)}
-    identifiable = np.zeros((len(minimal.dependent), len(lone)))
+    positions = {joint: k for k, joint in enumerate(joints)}
+    identifiable = np.zeros((len(minimal.dependent), len(joints)))
     for row, (joint, combination) in zip(identifiable, minimal.dependent, strict=True):
-        if joint in position:
-            row[position[joint]] = 1.0
+        if joint in positions:
+            row[positions[joint]] = 1.0
         for k, share in combination.items():
-            if minimal.axial[k] in position:
-                row[position[minimal.axial[k]]] -= share
+            if minimal.axial[k] in positions:
+                row[positions[minimal.axial[k]]] -= share
     rows = identifiable[identifiable.any(axis=1)]
-    own, basis = echelon(np.hstack([rows, rows]), len(lone))
-    shares = np.eye(len(lone))
-    shares[own] = np.where(np.abs(basis) > INDEPENDENT, -basis, 0.0)[:, : len(lone)]
-    shares[:, own] = 0.0
+    pivots, basis = reduced_row_echelon(np.hstack([rows, rows]), len(joints))
+    shares = np.eye(len(joints))
+    shares[pivots] = np.where(np.abs(basis) > PIVOT_TOLERANCE, -basis, 0.0)[
+        :, : len(joints)
+    ]
+    shares[:, pivots] = 0.0
     return shares
 
 
-def _lone(tree: Tree, gravity: Array, offsets: Collection[int]) -> dict[int, float]:
-    """Joints whose own acceleration alone identifies the inertia that it moves.
+def _isolated_joints(
+    tree: Tree, gravity: Array, offsets: Collection[int]
+) -> dict[int, float]:
+    """Joints whose axial inertia is identified by the joint's own acceleration only.
+
+    If this inertia also adds a constant weight to the torque of its joint, the joint is included
+    only if it has an offset, which then contains the weight.
+
+    Args:
+        tree: The robot.
+        gravity: Gravity, (3,) [m/s^2], bedplate frame.
+        offsets: Indices of joints with an offset.
 
     Returns:
-        By joint, the constant force per unit of that inertia which an offset takes up.
+        Constant force per unit of inertia that is part of the offset, keyed by joint index.
     """
-    found = {}
-    for j, each in enumerate(
-        seen_wrenches(tree, "dynamic", gravity, np.zeros((0, 10)))
+    forces = {}
+    for j, functionals in enumerate(
+        composite_functionals(tree, "torque", gravity, np.zeros((0, 10)))
     ):
-        known = each.aside
-        inertia, weight = beyond(each.inertia, known), beyond(each.weight, known)
-        size, heavy = float(np.linalg.norm(inertia)), float(np.linalg.norm(weight))
-        if size <= NEW * np.linalg.norm(each.inertia):
+        others = functionals.without_acceleration
+        inertia, weight = (
+            orthogonal_part(functionals.inertia, others),
+            orthogonal_part(functionals.weight, others),
+        )
+        size, weight_size = (
+            float(np.linalg.norm(inertia)),
+            float(np.linalg.norm(weight)),
+        )
+        if size <= INDEPENDENCE_TOLERANCE * np.linalg.norm(functionals.inertia):
             continue
-        if heavy <= NEW * max(1.0, float(np.linalg.norm(each.weight))):
-            found[j] = 0.0
+        if weight_size <= INDEPENDENCE_TOLERANCE * max(
+            1.0, float(np.linalg.norm(functionals.weight))
+        ):
+            forces[j] = 0.0
         elif j in offsets:
-            found[j] = float(weight @ inertia) / size**2
-    return found
+            forces[j] = float(weight @ inertia) / size**2
+    return forces

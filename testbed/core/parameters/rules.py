@@ -1,36 +1,36 @@
-"""The rules: which parameters of a body stay, given how the body that carries it can move."""
+"""Regrouping rules: kept parameters of a body, given the mobility of its carrier."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from testbed.core.base.arrays import Array, skew
-from testbed.core.parameters.symbols import PARTS, UPPER
+from testbed.core.parameters.symbols import BARYCENTRIC_COMPONENTS, UPPER_TRIANGLE
 from testbed.core.robot.tree import Joint, Tree
 
-ALIGNED = 1e-9
-"""Sine below which two directions count as parallel; also [m] for points on a line."""
+PARALLEL_TOLERANCE = 1e-9
+"""Largest sine between parallel directions; largest distance from a point on a line [m]."""
 
-TINY = 1e-9
-"""Of unit forms: rounding of zero."""
+ZERO_TOLERANCE = 1e-9
+"""Largest coefficient of a unit form that is treated as zero."""
 
 Rotation = Literal["none", "along", "across", "free"]
 
 
 @dataclass(frozen=True, eq=False)
 class Mobility:
-    """Motion of the body i that carries joint j, seen from the joint's frame j at q = 0.
+    """Mobility of body i, which carries joint j, in frame j at q = 0.
 
-    Gravity is an acceleration of the bedplate: it counts as a slide before all joints.
+    Gravity is treated as an acceleration of the bedplate, like a prismatic joint before all joints.
 
     Attributes:
-        twists: Of frame j by a unit of gravity and of every joint before j, linear part first,
-            (k, 6).
-        axis: Of joint j, (3,).
+        twists: Twists of frame j caused by a unit of gravity and by unit velocity of each joint
+            before j, linear part first, (k, 6).
+        axis: Axis of joint j, (3,).
     """
 
     twists: Array
@@ -45,74 +45,85 @@ class Mobility:
 
     @property
     def rotation(self) -> Rotation:
-        """Directions about which body i turns.
+        """Axes of rotation of body i relative to the joint axis.
 
-        "none"; "along": parallel to the joint axis; "across": one, not parallel to the axis;
-        "free": several.
+        The values are "none" (no rotation), "along" (parallel to the joint axis), "across" (one
+        direction that is not parallel to the joint axis) and "free" (several directions).
         """
         angular = self.twists[:, 3:]
         if not angular.any():
             return "none"
-        if _distance(angular, self.direction) > ALIGNED:
+        if _normal_component(angular, self.direction) > PARALLEL_TOLERANCE:
             return "free"
-        return "along" if _distance(angular, self.axis) <= ALIGNED else "across"
+        return (
+            "along"
+            if _normal_component(angular, self.axis) <= PARALLEL_TOLERANCE
+            else "across"
+        )
 
     @property
-    def at_rest(self) -> bool:
-        """Whether neither gravity nor, where body i turns along the axis, xdd^j is across it."""
-        return bool(_distance(self.twists[:, :3], self.axis) <= ALIGNED)
+    def moves_axially(self) -> bool:
+        """True if gravity and the motion of the joint's origin are along the joint axis."""
+        return bool(
+            _normal_component(self.twists[:, :3], self.axis) <= PARALLEL_TOLERANCE
+        )
 
     @property
     def pivot(self) -> float | None:
-        """Distance from O^j along the axis of a point that never accelerates [m].
+        """Position along the axis, from O^j, of a point that never accelerates [m].
 
-        None where there is none; body i turns across the axis.
+        The result is None if gravity or a joint before joint j accelerates every point of the axis.
+        Body i must rotate about a direction that is not parallel to the axis.
         """
         linear, lever = self.twists[:, :3], self.twists[:, 3:] @ skew(self.axis)
         s = -float(np.sum(lever * linear) / np.sum(lever * lever))
         return (
-            s if np.linalg.norm(linear + s * lever, axis=1).max() <= ALIGNED else None
+            s
+            if np.linalg.norm(linear + s * lever, axis=1).max() <= PARALLEL_TOLERANCE
+            else None
         )
 
 
-def _distance(vectors: Array, axis: Array) -> float:
-    """Largest component of vectors, (k, 3), across a unit axis."""
+def _normal_component(vectors: Array, axis: Array) -> float:
+    """Largest component of vectors, (k, 3), normal to a unit axis, (3,)."""
     return float(np.linalg.norm(vectors @ skew(axis), axis=1).max())
 
 
 def mobilities(tree: Tree, gravity: Array) -> Iterator[Mobility]:
-    """The mobility ahead of every joint.
+    """Yield the mobility of the body that carries each joint, in tree order.
 
     Args:
         tree: The robot.
-        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
+        gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame.
     """
     slide = gravity / (np.linalg.norm(gravity) or 1.0)
     twists = [np.concatenate([slide, np.zeros(3)])[None]]  # index j + 1
     for joint in tree.joints:
-        ahead = twists[joint.parent + 1] @ joint.X_PB.wrench_matrix
-        yield Mobility(ahead, joint.axis)
-        twists.append(np.vstack([ahead, unit_twist(joint)]))
+        carrier_twists = twists[joint.parent + 1] @ joint.X_PB.wrench_matrix
+        yield Mobility(carrier_twists, joint.axis)
+        twists.append(np.vstack([carrier_twists, unit_twist(joint)]))
 
 
 def unit_twist(joint: Joint) -> Array:
-    """Twist of a joint at unit velocity in its own frame, linear part first, (6,)."""
-    nothing = np.zeros(3)
+    """Twist of a joint at unit velocity, in the joint frame, linear part first, (6,)."""
+    zeros = np.zeros(3)
     return np.concatenate(
-        [nothing, joint.axis] if joint.revolute else [joint.axis, nothing]
+        [zeros, joint.axis] if joint.revolute else [joint.axis, zeros]
     )
 
 
-Model = Literal["dynamic", "reaction"]
-
 Signal = Literal["wrench", "torque"]
-"""What is measured: the plate's wrench, or joint torques."""
+"""Measured signal: wrench of the force plate, or joint torques.
 
-MODEL_OF: Mapping[str, Model] = {"wrench": "reaction", "torque": "dynamic"}
-"""Minimal set by signal."""
+The paper calls the corresponding methods external and internal, and the parameter sets reaction and
+dynamic.
+"""
+
+SIGNALS: tuple[Signal, ...] = ("wrench", "torque")
+"""Names of the measured signals."""
 
 
-REASONS = {
+RULE_REASONS = {
     "2.1": "prismatic; its parent rotates about several directions",
     "2.2": "prismatic; its parent rotates about one direction only, not along the joint axis",
     "2.3": "prismatic; its parent rotates about the joint axis only, or not at all",
@@ -129,44 +140,44 @@ REASONS = {
     "none": "a joint before the force sensor or a coordinate of a free base, without mass",
     "base": "the static wrench of all that stands on the bedplate",
 }
-"""Why a parameter is in the set: what the joint does, by table and row."""
+"""Joint type and motion of the parent that put a parameter into the set, keyed by table and row."""
 
 
 @dataclass(frozen=True, eq=False)
 class Triad:
-    """Three orthonormal directions of a body, and the letters that name components along them.
+    """Orthonormal triad of a body, with letters that name components.
 
     Attributes:
-        axes: As rows, (3, 3); the last is the direction that the first two stand across.
-        letters: x, y, z in some order where the axes are the body's own, else u, v, w.
+        axes: Directions as rows, (3, 3); the last is the main direction, such as the joint axis.
+        letters: Letters x, y, z in some order if the directions are the body axes, else u, v, w.
     """
 
     axes: Array
     letters: tuple[str, str, str]
 
     @property
-    def inclined(self) -> bool:
-        """Whether the axes are others than the body's own."""
+    def is_inclined(self) -> bool:
+        """True if the directions are not the body axes."""
         return self.letters == ("u", "v", "w")
 
     @property
     def R_BT(self) -> Array:
-        """Right-handed frame T with z along the last direction, in the body's frame B, (3, 3)."""
+        """Rotation matrix of a right-handed frame T with z along the last direction, (3, 3)."""
         x, _, z = self.axes
         return np.column_stack([x, np.cross(z, x), z])
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
-    """One parameter kept: a linear form of body j's ten redefined parameters.
+class KeptParameter:
+    """Kept parameter: a linear form on body j's ten redefined parameters.
 
     Attributes:
-        terms: What it is the sum of: factor, head ("mbar", "mb", "K") and component, such as
-            "y" or "yz" in the row's triad; "d" for half a difference.
+        terms: Summands, each a factor, a kind ("mbar", "mb", "K") and a component, such as "y" or
+            "yz" in the triad (u, v, w); "d" stands for (Kuu - Kvv) / 2.
         form: Coefficients on the ten parameters, (10,).
-        direction: Ten parameters for which this form is 1, every other form kept for the
-            joint 0, and nothing migrates, (10,).
-        axial: Whether it is the inertia that the joint itself moves: K_ee, or mbar.
+        direction: Ten parameters for which this form is 1, the other kept forms of the joint are
+            0, and no parameter migrates, (10,).
+        axial: True for the inertia that the joint accelerates: K_ee about its axis e, or mbar.
     """
 
     terms: tuple[tuple[float, str, str], ...]
@@ -176,27 +187,32 @@ class Kept:
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
-    """One row of a table.
+class RuleRow:
+    """Row of a rule table: kept parameters, and projector onto migrating parameters.
 
     Attributes:
-        number: Table and row, a key of REASONS.
-        kept: The parameters kept for the joint, in printing order.
-        passed: Projector of body j's ten redefined parameters onto what migrates, (10, 10).
-        triad: What components are named after, frame j.
+        number: Table and row, a key of RULE_REASONS.
+        parameters: Kept parameters of the joint, in printing order.
+        migration_projector: Projector from the ten redefined parameters of body j onto those that
+            migrate, (10, 10).
+        triad: Directions, in frame j, along which components are taken and named.
     """
 
     number: str
-    kept: tuple[Kept, ...]
-    passed: Array
+    parameters: tuple[KeptParameter, ...]
+    migration_projector: Array
     triad: Triad
 
 
-def base_rule(functionals: Array) -> Row:
-    """The row of a base that moves and whose wrench is measured: all ten where it moves freely.
+def base_rule(functionals: Array) -> RuleRow:
+    """Rule for a moving base whose wrench is measured.
+
+    A base that moves freely keeps all ten parameters. Otherwise, the base keeps the combinations of
+    a reduced row echelon form, with leading parameters in the order K, mb, mbar. No parameter
+    migrates.
 
     Args:
-        functionals: What the wrench identifies of the base's ten parameters, (k, 10).
+        functionals: Identifiable functionals of the base's ten parameters, (k, 10).
     """
     leads: list[int] = []
     # second moments before first ones and the mass
@@ -207,117 +223,201 @@ def base_rule(functionals: Array) -> Row:
         3,
         0,
     ):
-        if np.linalg.matrix_rank(functionals[:, [*leads, column]], TINY) > len(leads):
+        if np.linalg.matrix_rank(
+            functionals[:, [*leads, column]], ZERO_TOLERANCE
+        ) > len(leads):
             leads.append(column)
     forms = np.linalg.solve(functionals[:, leads], functionals)
-    forms[np.abs(forms) < TINY] = 0.0
+    forms[np.abs(forms) < ZERO_TOLERANCE] = 0.0
     forms[:, leads] = np.eye(len(leads))
-    kept = []
+    parameters = []
     for lead, form in sorted(zip(leads, forms, strict=True), key=lambda pair: pair[0]):
         others = [c for c in np.flatnonzero(form).tolist() if c != lead]
-        terms = tuple((round(float(form[c]), 4), *PARTS[c]) for c in (lead, *others))
-        kept.append(Kept(terms, form, np.eye(10)[lead]))
-    return Row("free", tuple(kept), np.zeros((10, 10)), _OWN)
+        terms = tuple(
+            (round(float(form[c]), 4), *BARYCENTRIC_COMPONENTS[c])
+            for c in (lead, *others)
+        )
+        parameters.append(KeptParameter(terms, form, np.eye(10)[lead]))
+    return RuleRow("free", tuple(parameters), np.zeros((10, 10)), _BODY_TRIAD)
 
 
-def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
-    """The row that applies to a joint."""
-    of_kind = _of_revolute if joint.revolute else _of_prismatic
-    return of_kind(joint, mobility, model)
+def joint_rule(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
+    """Rule for a joint with the given mobility of its carrier.
+
+    [FRS96] Tables 2 and 4 apply to joint torques, Tables 3 and 5 to the wrench. Tables 2 and 3
+    apply to prismatic joints, Tables 4 and 5 to revolute joints.
+
+    Args:
+        joint: Joint j.
+        mobility: Mobility of the body that carries joint j.
+        model: "torque" or "wrench".
+    """
+    row_of_type = _revolute_row if joint.revolute else _prismatic_row
+    return row_of_type(joint, mobility, model)
 
 
-def _of_prismatic(joint: Joint, mobility: Mobility, model: Model) -> Row:
-    """Tables 2, joint torques, and 3, bedplate reaction."""
+def _prismatic_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
+    """Row of [FRS96] Table 2 (torques) or 3 (wrench) for a prismatic joint.
+
+    Row 1 applies to a carrier that rotates about several directions, row 2 to a carrier that
+    rotates about one direction not parallel to the joint axis, row 3 to other carriers. The mass
+    mbar is kept with all first moments (rows 2.1, 3.1, 3.2), with first moments normal to the
+    direction of rotation (2.2) or to the joint axis (3.3), or alone (2.3). The inertia
+    tensor is regrouped into the carrier.
+    """
     unit = np.eye(10)[0]
-    mass = Kept(((1.0, "mbar", ""),), unit, unit, axial=True)
+    mass = KeptParameter(((1.0, "mbar", ""),), unit, unit, axial=True)
     row = {"free": 1, "across": 2}.get(mobility.rotation, 3)
-    number = f"{2 if model == 'dynamic' else 3}.{row}"
+    number = f"{2 if model == 'torque' else 3}.{row}"
     if number == "2.3":
-        return Row(number, (mass,), np.diag([0.0] + [1.0] * 9), _OWN)
+        return RuleRow(number, (mass,), np.diag([0.0] + [1.0] * 9), _BODY_TRIAD)
     if row == 1 or number == "3.2":
-        return Row(number, (mass, *_moments(_OWN, 3)), _TENSOR, _OWN)
+        return RuleRow(
+            number,
+            (mass, *_first_moments(_BODY_TRIAD, 3)),
+            _TENSOR_PROJECTOR,
+            _BODY_TRIAD,
+        )
     direction = mobility.direction if number == "2.2" else joint.axis
-    triad = across(direction)
-    passed = _TENSOR + np.outer(_moment(direction), _moment(direction))
-    return Row(number, (mass, *_moments(triad, 2)), passed, triad)
+    triad = triad_about(direction)
+    passed = _TENSOR_PROJECTOR + np.outer(
+        _first_moment(direction), _first_moment(direction)
+    )
+    return RuleRow(number, (mass, *_first_moments(triad, 2)), passed, triad)
 
 
-def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
-    """Tables 4, joint torques, and 5, bedplate reaction."""
-    triad = across(joint.axis)
-    moments, axial, difference, oblique, product = _about_axis(triad)
-    kept: tuple[Kept, ...] = (*moments, axial, difference, *oblique, product)
-    number = "4.1" if model == "dynamic" else "5.1"
+def _revolute_row(joint: Joint, mobility: Mobility, model: Signal) -> RuleRow:
+    """Row of [FRS96] Table 4 (torques) or 5 (wrench) for a revolute joint.
+
+    Let e be the joint axis. Rows 4.1 and 5.1 keep mb_u, mb_v, K_ee, K_uu - K_vv, K_ve, K_ue, K_uv.
+    If the carrier rotates about e only, or not at all, row 4.2 keeps mb_u, mb_v, K_ee, and row 5.2
+    in addition K_ve, K_ue; row 4.3 keeps K_ee alone if gravity and the motion of the joint are
+    along e. If a point of the axis never accelerates, row 4.4, which is not in the paper, keeps the
+    parameters of row 4.1 without mb_u, mb_v, and with K_ve, K_ue about that point.
+    """
+    triad = triad_about(joint.axis)
+    moments, axial, difference, oblique, product = _axis_parameters(triad)
+    parameters: tuple[KeptParameter, ...] = (
+        *moments,
+        axial,
+        difference,
+        *oblique,
+        product,
+    )
+    number = "4.1" if model == "torque" else "5.1"
     if mobility.rotation in ("none", "along"):
-        number, kept = "4.2", (*moments, axial)
-        if model == "reaction":
-            number, kept = "5.2", (*kept, *oblique)
-        elif mobility.at_rest:
-            number, kept = "4.3", (axial,)
-    elif model == "dynamic" and (pivot := mobility.pivot) is not None:
+        number, parameters = "4.2", (*moments, axial)
+        if model == "wrench":
+            number, parameters = "5.2", (*parameters, *oblique)
+        elif mobility.moves_axially:
+            number, parameters = "4.3", (axial,)
+    elif model == "torque" and (pivot := mobility.pivot) is not None:
         pairs = zip(oblique, reversed(moments), strict=True)
-        about_pivot = (_sum(k, pivot, mb) for k, mb in pairs)
-        number, kept = "4.4", (axial, difference, *about_pivot, product)
-    return Row(number, kept, _mean_and_moment(triad), triad)
+        about_pivot = (_product_about_pivot(k, pivot, mb) for k, mb in pairs)
+        number, parameters = "4.4", (axial, difference, *about_pivot, product)
+    return RuleRow(number, parameters, _mean_and_moment_projector(triad), triad)
 
 
-def _mean_and_moment(triad: Triad) -> Array:
-    """Projector onto K_s = (K_uu + K_vv)/2, eq. (37), and mb_e of a triad (u, v, e)."""
+def _mean_and_moment_projector(triad: Triad) -> Array:
+    """Projector onto the parameters that migrate over a revolute joint with axis e, (10, 10).
+
+    In the triad (u, v, e), these are the mean K_s = (K_uu + K_vv)/2 of the inertias normal to the
+    axis, [FRS96] eq. (37), and the first moment mb_e along the axis.
+    """
     u, v, e = triad.axes
-    across, moment = _outer(u, u) + _outer(v, v), _moment(e)
-    return np.outer(across, _TIMES * across / 2) + np.outer(moment, moment)
-
-
-def _moment(direction: Array) -> Array:
-    """Ten parameters whose mb is a direction, and the form of mb along it, (10,)."""
-    return np.concatenate([[0.0], direction, np.zeros(6)])
-
-
-def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
-    """Components of mb^j along the first directions of a triad."""
-    pairs = list(zip(triad.letters, map(_moment, triad.axes), strict=True))
-    return tuple(
-        Kept(((1.0, "mb", letter),), form, form) for letter, form in pairs[:count]
+    tensor_sum, moment = (
+        _symmetric_outer(u, u) + _symmetric_outer(v, v),
+        _first_moment(e),
+    )
+    return np.outer(tensor_sum, _MULTIPLICITY * tensor_sum / 2) + np.outer(
+        moment, moment
     )
 
 
-def _about_axis(
+def _first_moment(direction: Array) -> Array:
+    """Ten parameters with first moment `direction`; also the form of mb along it, (10,)."""
+    return np.concatenate([[0.0], direction, np.zeros(6)])
+
+
+def _first_moments(triad: Triad, count: int) -> tuple[KeptParameter, ...]:
+    """Components of the first moment mb^j along the first `count` directions of a triad."""
+    pairs = list(zip(triad.letters, map(_first_moment, triad.axes), strict=True))
+    return tuple(
+        KeptParameter(((1.0, "mb", letter),), form, form)
+        for letter, form in pairs[:count]
+    )
+
+
+def _axis_parameters(
     triad: Triad,
-) -> tuple[tuple[Kept, ...], Kept, Kept, tuple[Kept, Kept], Kept]:
-    """What a revolute joint with axis e can keep, in the triad (u, v, e).
+) -> tuple[
+    tuple[KeptParameter, ...],
+    KeptParameter,
+    KeptParameter,
+    tuple[KeptParameter, KeptParameter],
+    KeptParameter,
+]:
+    """Parameters that a revolute joint with axis e can keep, in the triad (u, v, e).
+
+    These are first moments mb and components of the inertia tensor K.
 
     Returns:
-        (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
+        Kept parameters (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
     """
     (u, v, e), (p, q, r) = triad.axes, triad.letters
-    spread, along = _outer(u, u) - _outer(v, v), _outer(e, e)
-    difference = Kept(((2.0, "K", "d"),), _TIMES * spread, spread / 2)
-    axial = Kept(((1.0, "K", r + r),), _TIMES * along, along, axial=True)
-    oblique = _product(v, e, q + r), _product(u, e, p + r)
-    return _moments(triad, 2), axial, difference, oblique, _product(u, v, p + q)
+    difference_tensor, axial_tensor = (
+        _symmetric_outer(u, u) - _symmetric_outer(v, v),
+        _symmetric_outer(e, e),
+    )
+    difference = KeptParameter(
+        ((2.0, "K", "d"),), _MULTIPLICITY * difference_tensor, difference_tensor / 2
+    )
+    axial = KeptParameter(
+        ((1.0, "K", r + r),), _MULTIPLICITY * axial_tensor, axial_tensor, axial=True
+    )
+    oblique = _product_of_inertia(v, e, q + r), _product_of_inertia(u, e, p + r)
+    return (
+        _first_moments(triad, 2),
+        axial,
+        difference,
+        oblique,
+        _product_of_inertia(u, v, p + q),
+    )
 
 
-def _product(a: Array, b: Array, letters: str) -> Kept:
-    """K_ab; its letters in the order of the alphabet."""
-    product = 2 * _outer(a, b)
-    return Kept(((1.0, "K", "".join(sorted(letters))),), _TIMES * product / 2, product)
+def _product_of_inertia(a: Array, b: Array, letters: str) -> KeptParameter:
+    """Product of inertia K_ab as a kept parameter, named with letters in alphabetical order."""
+    product = 2 * _symmetric_outer(a, b)
+    return KeptParameter(
+        ((1.0, "K", "".join(sorted(letters))),), _MULTIPLICITY * product / 2, product
+    )
 
 
-def _sum(k: Kept, s: float, mb: Kept) -> Kept:
-    """K_ae + s mb_a: a product of inertia about the pivot."""
-    if abs(s) <= ALIGNED:
+def _product_about_pivot(
+    k: KeptParameter, s: float, mb: KeptParameter
+) -> KeptParameter:
+    """Product of inertia about the pivot, K_ae + s mb_a, as a kept parameter.
+
+    Args:
+        k: Product of inertia K_ae.
+        s: Position of the pivot along the axis [m].
+        mb: First moment mb_a.
+    """
+    if abs(s) <= PARALLEL_TOLERANCE:
         return k
     moment = tuple((s * factor, head, letter) for factor, head, letter in mb.terms)
-    return Kept((*k.terms, *moment), k.form + s * mb.form, k.direction)
+    return KeptParameter((*k.terms, *moment), k.form + s * mb.form, k.direction)
 
 
-def across(axis: Array) -> Triad:
-    """A triad whose last direction is the unit vector `axis`.
+def triad_about(axis: Array) -> Triad:
+    """Triad whose last direction is the unit vector `axis`.
 
-    Frame axes where `axis` is one, so that the parameters are the body's own components.
+    If `axis` is along a body axis, the triad consists of the body axes, so that the parameters are
+    components in the body frame. Otherwise, the triad is right-handed, and its first direction is
+    normal to `axis` and to the body axis that makes the largest angle with `axis`.
     """
     strongest = int(np.argmax(np.abs(axis)))
-    if np.linalg.norm(np.delete(axis, strongest)) <= ALIGNED:
+    if np.linalg.norm(np.delete(axis, strongest)) <= PARALLEL_TOLERANCE:
         first, second = (k for k in range(3) if k != strongest)
         axes = np.array([np.eye(3)[first], np.eye(3)[second], axis])
         return Triad(axes, ("xyz"[first], "xyz"[second], "xyz"[strongest]))
@@ -326,20 +426,23 @@ def across(axis: Array) -> Triad:
     return Triad(np.array([u, np.cross(axis, u), axis]), ("u", "v", "w"))
 
 
-_OWN = Triad(np.eye(3), ("x", "y", "z"))
+_BODY_TRIAD = Triad(np.eye(3), ("x", "y", "z"))
 
-_TENSOR = np.diag([0.0] * 4 + [1.0] * 6)
-"""Projector onto K^j."""
+_TENSOR_PROJECTOR = np.diag([0.0] * 4 + [1.0] * 6)
+"""Projector onto the tensor K^j, (10, 10)."""
 
-NOTHING_KEPT = Row("none", (), np.zeros((10, 10)), _OWN)
-"""Of what leads to a base and has no matter."""
+MASSLESS_ROW = RuleRow("none", (), np.zeros((10, 10)), _BODY_TRIAD)
+"""Rule for a massless body between bedplate and base: no parameter is kept, none migrates."""
 
 
-def _outer(a: Array, b: Array) -> Array:
+def _symmetric_outer(a: Array, b: Array) -> Array:
     """Ten parameters whose tensor is the symmetric part of a b', (10,)."""
     product = np.outer(a, b)
-    return np.concatenate([np.zeros(4), ((product + product.T) / 2)[UPPER]])
+    return np.concatenate([np.zeros(4), ((product + product.T) / 2)[UPPER_TRIANGLE]])
 
 
-_TIMES = np.array([0, 0, 0, 0, 1, 2, 2, 1, 2, 1])
-"""Times that each of the ten parameters stands in its tensor: _TIMES * _outer(a, b) is a . K b."""
+_MULTIPLICITY = np.array([0, 0, 0, 0, 1, 2, 2, 1, 2, 1])
+"""Number of elements of the tensor K that equal each of the ten parameters.
+
+`_MULTIPLICITY * _symmetric_outer(a, b)` is the linear form a . K b.
+"""

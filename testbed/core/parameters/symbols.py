@@ -1,4 +1,4 @@
-r"""Names as values: symbols, sums of them and formulas, written as text or in LaTeX.
+r"""Standard and barycentric parameters: values, and symbolic names as text or LaTeX.
 
 Text      K*1yz = K1yz - l12z*mb*2y; stars mark redefined parameters
 LaTeX     K^{*1}_{yz} = K^{1}_{yz} - l^{12}_{z}\,m\!b^{*2}_{y}
@@ -14,58 +14,66 @@ from typing import Literal
 
 import numpy as np
 
-from testbed.core.base.arrays import AnyArray, Array, readonly, skew
+from testbed.core.base.arrays import AnyArray, Array, readonly_array, skew
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.tree import Tree
 
-PARTS = (
+BARYCENTRIC_COMPONENTS = (
     ("mbar", ""),
     *(("mb", axis) for axis in "xyz"),
     *(("K", pair) for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
 )
-"""Of a body's barycentric parameters, in their order: what each is, and along which axes."""
+"""Kind and axes of a body's ten barycentric parameters, in their order."""
 
-STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+STANDARD_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Order of a body's standard parameters, about and along its frame (Pinocchio's order)."""
 
-UNIT_OF = {"mbar": "kg", "mb": "kg m", "K": "kg m^2"}
-"""Units of masses, moments and tensors."""
+UNIT_BY_KIND = {"mbar": "kg", "mb": "kg m", "K": "kg m^2"}
+"""Unit by kind of parameter: mass, first moments, tensor components."""
 
-UNITS = tuple(UNIT_OF[head] for head, _ in PARTS)
-"""Units of a body's ten, barycentric or standard."""
+PARAMETER_UNITS = tuple(UNIT_BY_KIND[head] for head, _ in BARYCENTRIC_COMPONENTS)
+"""Units of a body's ten parameters, barycentric or standard."""
 
-UPPER = np.triu_indices(3)
-"""Where the six numbers of a tensor stand in it, row by row."""
+UPPER_TRIANGLE = np.triu_indices(3)
+"""Row and column indices of a symmetric tensor's six components, row by row."""
 
-TENSOR: Array = np.eye(6)[np.array([(0, 1, 2), (1, 3, 4), (2, 4, 5)])]
-"""The tensor of six numbers, (3, 3, 6): K[a, b] = sum over k of TENSOR[a, b, k] K6[k]."""
+TENSOR_FROM_SIX: Array = np.eye(6)[np.array([(0, 1, 2), (1, 3, 4), (2, 4, 5)])]
+"""Map from six components to the tensor, (3, 3, 6): K[a, b] = sum_k T[a, b, k] K6[k]."""
 
-STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
-"""Swaps Kxz and Kyy, from the order STANDARD to PARTS and back."""
+STANDARD_PERMUTATION = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
+"""Permutation that swaps Kxz and Kyy: from the order of STANDARD_NAMES to that of
+BARYCENTRIC_COMPONENTS, and back."""
 
 
 def standard(tree: Tree) -> Array:
-    """Standard parameters of every body, (n, 10) in the order STANDARD [kg, kg m, kg m^2]."""
+    """Standard parameters of every body, (n, 10) [kg, kg m, kg m^2].
+
+    Row j is about the origin and along the axes of the frame of body j, in the order m mx my mz Ixx
+    Ixy Iyy Ixz Iyz Izz.
+    """
     rows = [
-        (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER])
+        (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER_TRIANGLE])
         for inertia in tree.inertias
     ]
-    return readonly(np.array(rows)[:, STANDARD_ORDER], (tree.n, 10), "standard")
+    return readonly_array(
+        np.array(rows)[:, STANDARD_PERMUTATION], (tree.n, 10), "standard"
+    )
 
 
-def with_standard(tree: Tree, standard: Array) -> Tree:
-    """The same tree with bodies of other standard parameters.
+def with_standard_parameters(tree: Tree, standard: Array) -> Tree:
+    """Copy of a robot whose bodies have the given standard parameters.
 
     Args:
         tree: The robot.
-        standard: (n, 10) in the order STANDARD [kg, kg m, kg m^2].
+        standard: Standard parameters m mx my mz Ixx Ixy Iyy Ixz Iyz Izz, about the origin and along
+            the axes of each body frame, (n, 10) [kg, kg m, kg m^2].
     """
-    tensors = standard[:, STANDARD_ORDER][:, 4:] @ np.moveaxis(TENSOR, 2, 0).reshape(
-        6, 9
-    )
+    tensors = standard[:, STANDARD_PERMUTATION][:, 4:] @ np.moveaxis(
+        TENSOR_FROM_SIX, 2, 0
+    ).reshape(6, 9)
     bodies = [
-        Inertia(own[0], own[1:4], tensor.reshape(3, 3))
-        for own, tensor in zip(standard, tensors, strict=True)
+        Inertia(parameters[0], parameters[1:4], tensor.reshape(3, 3))
+        for parameters, tensor in zip(standard, tensors, strict=True)
     ]
     return replace(tree, inertias=tuple(bodies))
 
@@ -73,60 +81,78 @@ def with_standard(tree: Tree, standard: Array) -> Tree:
 def barycentric(tree: Tree) -> Array:
     """Barycentric parameters theta of every body, (n, 10) [kg, kg m, kg m^2].
 
-    [FRS96] eqs. (3)-(5). Row j is in body j's frame, in the order PARTS.
+    [FRS96] eqs. (3)-(5). Row j is mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz in the frame of body j.
     """
-    return readonly(to_barycentric(tree, standard(tree)), (tree.n, 10), "theta")
+    return readonly_array(
+        barycentric_from_standard(tree, standard(tree)), (tree.n, 10), "theta"
+    )
 
 
-def to_barycentric(tree: Tree, standard: AnyArray) -> AnyArray:
-    """Augment every body by what it carries, set as point masses at the joints.
+def barycentric_from_standard(tree: Tree, standard: AnyArray) -> AnyArray:
+    """Convert standard to barycentric parameters, (n, 10, ...).
 
-    [FRS96] eqs. (3)-(5), as a recursion over children; linear in the argument.
+    Each body is augmented by the masses that it carries, as point masses at its joints, [FRS96]
+    eqs. (3)-(5). The recursion over children is linear in the parameters.
 
     Args:
-        tree: Gives parents and offsets.
-        standard: (n, 10, ...) in the order STANDARD, numbers or symbols.
+        tree: Robot with parents and offsets.
+        standard: Standard parameters, (n, 10, ...) in the order STANDARD_NAMES, numbers or symbols.
 
     Returns:
-        theta, (n, 10, ...) in the order PARTS.
+        Barycentric parameters theta, (n, 10, ...), mbar mbx mby mbz Kxx Kxy Kxz Kyy Kyz Kzz.
     """
-    theta = standard[:, STANDARD_ORDER].copy()
+    theta = standard[:, STANDARD_PERMUTATION].copy()
     for j in reversed(range(tree.n)):
         if tree.parents[j] >= 0:
-            mass = point_mass(tree.joints[j].offset)
+            mass = point_mass_parameters(tree.joints[j].offset)
             theta[tree.parents[j]] += np.multiply.outer(mass, theta[j, 0])
     return theta
 
 
-def on_standard(tree: Tree, rows: Array) -> Array:
-    """Rows on the barycentric parameters as rows on the standard ones, (k, 10 n) both.
+def forms_on_standard(tree: Tree, rows: Array) -> Array:
+    """Convert linear forms on barycentric parameters to forms on standard parameters.
 
-    The transpose of `to_barycentric`: rows theta = on_standard(rows) standard.
+    This is the transpose of `barycentric_from_standard`: rows @ theta equals
+    forms_on_standard(rows) @ standard.
+
+    Args:
+        tree: Robot with parents and offsets.
+        rows: Coefficients on the barycentric parameters, (k, 10 n).
+
+    Returns:
+        Coefficients on the standard parameters, (k, 10 n).
     """
-    own = rows.reshape(-1, tree.n, 10).copy()
+    forms = rows.reshape(-1, tree.n, 10).copy()
     for j in range(tree.n):
         if tree.parents[j] >= 0:
-            own[:, j, 0] += own[:, tree.parents[j]] @ point_mass(tree.joints[j].offset)
-    return own[:, :, STANDARD_ORDER].reshape(rows.shape)
+            forms[:, j, 0] += forms[:, tree.parents[j]] @ point_mass_parameters(
+                tree.joints[j].offset
+            )
+    return forms[:, :, STANDARD_PERMUTATION].reshape(rows.shape)
 
 
-def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
-    """The inverse of `to_barycentric`: (n, 10, ...) PARTS -> (n, 10, ...) STANDARD."""
-    own = theta.copy()
+def standard_from_barycentric(tree: Tree, theta: AnyArray) -> AnyArray:
+    """Convert barycentric to standard parameters: the inverse of `barycentric_from_standard`.
+
+    Args:
+        tree: Robot with parents and offsets.
+        theta: Barycentric parameters, (n, 10, ...), numbers or symbols.
+    """
+    standard = theta.copy()
     for j in range(tree.n):
         if tree.parents[j] >= 0:
-            mass = point_mass(tree.joints[j].offset)
-            own[tree.parents[j]] -= np.multiply.outer(mass, theta[j, 0])
-    return own[:, STANDARD_ORDER]
+            mass = point_mass_parameters(tree.joints[j].offset)
+            standard[tree.parents[j]] -= np.multiply.outer(mass, theta[j, 0])
+    return standard[:, STANDARD_PERMUTATION]
 
 
 def parameter_scale(values: Array, units: Sequence[str], share: float) -> Array:
-    """Magnitudes of parameters; small ones are a share of the largest of their unit, (p,).
+    """Scale of each parameter: its magnitude, with a lower bound for each unit, (p,).
 
     Args:
         values: Parameters, (p,).
-        units: One each.
-        share: Least magnitude in parts of the largest of the same unit.
+        units: Unit of each parameter.
+        share: Smallest scale, as a share of the largest magnitude of the same unit.
     """
     scale = np.abs(values)
     for unit in set(units):
@@ -136,35 +162,35 @@ def parameter_scale(values: Array, units: Sequence[str], share: float) -> Array:
 
 
 def parameter_symbols(tree: Tree) -> tuple[Symbol, ...]:
-    """The 10 n barycentric parameters, body 1 first: mbar1, mb1x, ... K1zz, mbar2, ..."""
+    """Symbols of the 10 n barycentric parameters, body 1 first: mbar1, mb1x, ... K1zz, mbar2 ..."""
     return tuple(component_symbol(body, c) for body in range(tree.n) for c in range(10))
 
 
 def parameter_names(tree: Tree) -> tuple[str, ...]:
-    """Their names."""
+    """Names of the 10 n barycentric parameters, body 1 first."""
     return tuple(symbol.text for symbol in parameter_symbols(tree))
 
 
 def component_symbol(body: int, component: int, star: bool = False) -> Symbol:
-    """One of the ten parameters of a body.
+    """Symbol of a body's barycentric parameter.
 
     Args:
-        body: Index of the body, from 0; its number is one more.
-        component: Index of PARTS.
-        star: The redefined parameter; a mass is never redefined.
+        body: Index of the body, from 0; its number is `body + 1`.
+        component: Index into BARYCENTRIC_COMPONENTS.
+        star: True for the redefined parameter; has no effect on a mass.
     """
-    head, tail = PARTS[component]
+    head, tail = BARYCENTRIC_COMPONENTS[component]
     return Symbol(head, (body + 1,), tail, star and head != "mbar")
 
 
-def point_mass(offset: AnyArray) -> AnyArray:
-    """Ten barycentric parameters of a unit point mass, (10,) in the order PARTS.
+def point_mass_parameters(offset: AnyArray) -> AnyArray:
+    """Barycentric parameters mbar mbx mby mbz Kxx ... Kzz of a unit point mass, (10,).
 
     Args:
-        offset: Where it is, (3,) [m], numbers or symbols.
+        offset: Position of the mass, (3,) [m], numbers or symbols.
     """
     tensor = -skew(offset) @ skew(offset)
-    return np.concatenate([[1.0], offset, tensor[UPPER]])
+    return np.concatenate([[1.0], offset, tensor[UPPER_TRIANGLE]])
 
 
 Notation = Literal["text", "latex"]
@@ -174,42 +200,45 @@ _HEADS = {"mbar": r"\bar{m}", "mb": r"m\!b"}
 
 @dataclass(frozen=True)
 class Symbol:
-    """A parameter of a body, or the length from one body to another.
+    """Symbol of a body's parameter, or of an offset component between two bodies.
 
     Attributes:
         head: "mbar", "mb", "K", or "l" for a length.
-        bodies: Number of the body, from 1; of a length, both. 0 is the bedplate.
+        bodies: Number of the body, from 1, or of both bodies of a length; 0 is the bedplate.
         tail: Component, such as "z" or "yz"; "d" for half a difference; "" for a mass.
-        star: Whether the parameter is redefined.
+        is_redefined: True for a redefined parameter.
     """
 
     head: str
     bodies: tuple[int, ...]
     tail: str
-    star: bool = False
+    is_redefined: bool = False
 
     @property
     def text(self) -> str:
-        """As printed: K*2yz, mbar1, l23z, l9_10z."""
-        between = "" if max(self.bodies) < 10 else "_"
-        return f"{self.head}{'*' * self.star}{between.join(map(str, self.bodies))}{self.tail}"
+        """Symbol as text: K*2yz, mbar1, l23z, l9_10z."""
+        separator = "" if max(self.bodies) < 10 else "_"
+        return (
+            f"{self.head}{'*' * self.is_redefined}"
+            f"{separator.join(map(str, self.bodies))}{self.tail}"
+        )
 
     @property
     def latex(self) -> str:
-        """In LaTeX: K^{*2}_{yz}, l^{9,10}_{z}."""
-        between = "" if max(self.bodies) < 10 else ","
-        above = "*" * self.star + between.join(map(str, self.bodies))
-        below = f"_{{{self.tail}}}" if self.tail else ""
-        return f"{_HEADS.get(self.head, self.head)}^{{{above}}}{below}"
+        """Symbol in LaTeX: K^{*2}_{yz}, l^{9,10}_{z}."""
+        separator = "" if max(self.bodies) < 10 else ","
+        superscript = "*" * self.is_redefined + separator.join(map(str, self.bodies))
+        subscript = f"_{{{self.tail}}}" if self.tail else ""
+        return f"{_HEADS.get(self.head, self.head)}^{{{superscript}}}{subscript}"
 
 
 @dataclass(frozen=True)
 class DriveSymbol:
-    """The coefficient of one term of one joint.
+    """Symbol of the coefficient of a joint term, such as a rotor inertia.
 
     Attributes:
-        kind: Such as "rotor".
-        joint: The joint's name.
+        kind: Kind of the term, such as "rotor".
+        joint: Joint name.
     """
 
     kind: str
@@ -217,158 +246,162 @@ class DriveSymbol:
 
     @property
     def text(self) -> str:
-        """As printed: rotor/waist."""
+        """Symbol as text: rotor/waist."""
         return f"{self.kind}/{self.joint}"
 
     @property
     def latex(self) -> str:
-        r"""In LaTeX: \mathrm{rotor}_{\mathrm{waist}}."""
+        r"""Symbol in LaTeX: \mathrm{rotor}_{\mathrm{waist}}."""
         joint = "".join(rf"\{c}" if c in "_&%$#{}" else c for c in self.joint)
         return rf"\mathrm{{{self.kind}}}_{{\mathrm{{{joint}}}}}"
 
 
 @dataclass(frozen=True)
 class Term:
-    """A product: a number, or a sum of numbers times lengths, times a symbol.
+    """Product of a symbol and a factor (a number, or a sum of numbers times lengths).
 
     Attributes:
-        symbol: What is multiplied; None for a number alone.
-        weight: The summands of the factor, with their lengths; None is 1.
+        symbol: Symbol in the product; None for a number alone.
+        weight: Summands of the factor, each a number and a length; a length of None means 1.
     """
 
     symbol: Symbol | DriveSymbol | None
     weight: tuple[tuple[float, Symbol | None], ...] = ((1.0, None),)
 
     def write(self, notation: Notation) -> str:
-        """As text or in LaTeX; a leading minus stands without a blank."""
+        """Write the product as text or LaTeX, without space after a leading minus sign."""
         name = [getattr(self.symbol, notation)] if self.symbol else []
         if len(self.weight) == 1:
             ((value, length),) = self.weight
             lengths = [getattr(length, notation)] if length else []
             return _product(value, [*lengths, *name], notation)
         inner = [Term(length, ((value, None),)) for value, length in self.weight]
-        return _TIMES[notation].join([f"({join(inner, notation)})", *name])
+        return _PRODUCT_SIGNS[notation].join([f"({write_sum(inner, notation)})", *name])
 
 
 @dataclass(frozen=True)
 class Label:
-    """The name of an unknown: a symbol, a multiple of one, or a sum of such.
+    """Symbolic name of an unknown: a symbol, a multiple of a symbol, or a sum.
 
     Attributes:
-        terms: Its summands.
+        terms: Summands of the name.
     """
 
     terms: tuple[Term, ...]
 
     @property
-    def times(self) -> int:
-        """How many times its symbol it is: 2 for 2*K3d; 1 for sums."""
+    def multiple(self) -> int:
+        """Integer multiple of the symbol: 2 for 2*K3d; 1 for sums."""
         return int(self.terms[0].weight[0][0]) if len(self.terms) == 1 else 1
 
     @property
     def symbols(self) -> tuple[Symbol | DriveSymbol | None, ...]:
-        """What its summands are of."""
+        """Symbols of the summands."""
         return tuple(term.symbol for term in self.terms)
 
     @property
     def text(self) -> str:
-        """In one word: mb*2z, 2*K3d, K*1zz+rotor/waist."""
+        """Name as text without spaces: mb*2z, 2*K3d, K*1zz+rotor/waist."""
         return "".join(self.pieces)
 
     @property
     def pieces(self) -> list[str]:
-        """Its summands with their signs: K*1zz, +rotor/waist."""
+        """Signed summands as text without spaces: K*1zz, +rotor/waist."""
         return [piece.replace(" ", "", 1) for piece in summands(self.terms, "text")]
 
     @property
-    def stem(self) -> Label:
-        """The name without its multiple: K3d for 2*K3d."""
+    def without_multiple(self) -> Label:
+        """Name without the integer multiple: K3d for 2*K3d; sums are unchanged."""
         return Label((Term(self.terms[0].symbol),)) if len(self.terms) == 1 else self
 
     @property
     def latex(self) -> str:
-        """In LaTeX."""
-        return join(self.terms, "latex")
+        """Name in LaTeX."""
+        return write_sum(self.terms, "latex")
 
 
 @dataclass(frozen=True)
 class Formula:
-    """How an unknown is made of others.
+    """Formula of an unknown: left-hand side, and sum on the right-hand side.
 
     Attributes:
-        left: The unknown.
-        right: The sum that it stands for; empty for 0.
+        left: Name of the unknown.
+        right: Terms of the sum; empty for 0.
     """
 
     left: Label
     right: tuple[Term, ...]
 
     def __str__(self) -> str:
-        """As text."""
-        return f"{join(self.left.terms, 'text')} = {self.said}"
+        """Formula as text."""
+        return f"{write_sum(self.left.terms, 'text')} = {self.right_text}"
 
     @property
-    def said(self) -> str:
-        """The right-hand side as text."""
-        return join(self.right, "text")
+    def right_text(self) -> str:
+        """Right-hand side as text."""
+        return write_sum(self.right, "text")
 
     @property
-    def trivial(self) -> bool:
-        """Whether it says only that the unknown is itself."""
+    def is_trivial(self) -> bool:
+        """True if both sides of the formula are the same."""
         return self.left.terms == self.right
 
-    def latex(self, between: str = "=") -> str:
-        """In LaTeX.
+    def latex(self, relation: str = "=") -> str:
+        """Formula in LaTeX.
 
         Args:
-            between: Between the sides; "&=" in an aligned display.
+            relation: Relation sign between the sides; "&=" for aligned equations.
         """
-        return f"{self.left.latex} {between} {join(self.right, 'latex')}"
+        return f"{self.left.latex} {relation} {write_sum(self.right, 'latex')}"
 
 
-def join(terms: Sequence[Term], notation: Notation) -> str:
-    """A sum of terms: a - l*b; "0" for none."""
+def write_sum(terms: Sequence[Term], notation: Notation) -> str:
+    """Write a sum of terms, such as "a - l*b"; an empty sum is "0"."""
     return " ".join(summands(terms, notation)) or "0"
 
 
 def summands(terms: Sequence[Term], notation: Notation) -> list[str]:
-    """The terms of a sum, each with its sign: a, - l*b."""
-    found: list[str] = []
+    """Terms of a sum as text, each with its sign, such as "a", "- l*b"."""
+    summands_text: list[str] = []
     for term in terms:
         product = term.write(notation)
-        if not found:
-            found.append(product)
+        if not summands_text:
+            summands_text.append(product)
         elif product.startswith("-"):
-            found.append(f"- {product[1:]}")
+            summands_text.append(f"- {product[1:]}")
         else:
-            found.append(f"+ {product}")
-    return found
+            summands_text.append(f"+ {product}")
+    return summands_text
 
 
-_TIMES = {"text": "*", "latex": r"\,"}
+_PRODUCT_SIGNS = {"text": "*", "latex": r"\,"}
 
 
 def _product(value: float, names: list[str], notation: Notation) -> str:
-    """A number times names: a, -a*b, a/2, 3/2*a."""
-    over, slash, under = number(abs(value)).partition("/")
+    """Write a product of a number and names, such as "a", "-a*b", "a/2", "3/2*a"."""
+    numerator, bar, denominator = number_text(abs(value)).partition("/")
     sign = "-" if value < 0 else ""
-    if notation == "text" and over == "1" and slash and names:
-        return f"{sign}{'*'.join(names)}/{under}"
-    size = over + slash + under if notation == "text" else latex_number(over, under)
-    factors = names if size == "1" and names else [size, *names]
-    return sign + _TIMES[notation].join(factors)
+    if notation == "text" and numerator == "1" and bar and names:
+        return f"{sign}{'*'.join(names)}/{denominator}"
+    magnitude = (
+        numerator + bar + denominator
+        if notation == "text"
+        else latex_number(numerator, denominator)
+    )
+    factors = names if magnitude == "1" and names else [magnitude, *names]
+    return sign + _PRODUCT_SIGNS[notation].join(factors)
 
 
-def latex_number(over: str, under: str = "") -> str:
-    """Number in LaTeX of its decimals, or of numerator and denominator."""
-    if under:
-        return rf"\tfrac{{{over}}}{{{under}}}"
-    mantissa, power, exponent = over.partition("e")
-    return rf"{mantissa}\cdot 10^{{{int(exponent)}}}" if power else over
+def latex_number(numerator: str, denominator: str = "") -> str:
+    """Write a number in LaTeX, from decimal text or from numerator and denominator."""
+    if denominator:
+        return rf"\tfrac{{{numerator}}}{{{denominator}}}"
+    mantissa, power, exponent = numerator.partition("e")
+    return rf"{mantissa}\cdot 10^{{{int(exponent)}}}" if power else numerator
 
 
 @lru_cache(maxsize=4096)
-def number(value: float) -> str:
-    """A coefficient: whole, halves, thirds and quarters as they are, else six digits."""
-    near = Fraction(float(value)).limit_denominator(4)
-    return str(near) if abs(float(near) - value) < 1e-12 else f"{value:.6g}"
+def number_text(value: float) -> str:
+    """Write a coefficient as a fraction (denominator up to 4), otherwise with six digits."""
+    fraction = Fraction(float(value)).limit_denominator(4)
+    return str(fraction) if abs(float(fraction) - value) < 1e-12 else f"{value:.6g}"

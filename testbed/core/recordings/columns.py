@@ -1,8 +1,8 @@
-"""The columns of a recording: their names, their units, and what is known beside them.
+"""Columns of a recording: names, units, segments and checks of values.
 
 Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT,
           temperature/JOINT, wrench/Fx ... wrench/Mz, sensors/NAME/Fx ... sensors/NAME/Mz,
-          base/x ... base/qz; in simulated recordings truth/..., which no estimator reads
+          base/x ... base/qz; in simulated recordings truth/..., not used by estimators
 """
 
 from __future__ import annotations
@@ -13,24 +13,25 @@ from itertools import pairwise
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError, plural
+from testbed.core.base.errors import RecordingError, count_with_noun
 
-AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-"""The plate's channels."""
+WRENCH_COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+"""Names of the components of a wrench, which are the channels of the plate."""
 
-PLATE_UNITS = ("N", "N", "N", "N m", "N m", "N m")
-"""Theirs."""
+WRENCH_UNITS = ("N", "N", "N", "N m", "N m", "N m")
+"""Units of the components of a wrench."""
 
 JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque", "temperature")
-"""What is measured joint by joint."""
+"""Signals measured joint by joint."""
 
-SIGNALS = ("time", *JOINT_SIGNALS, "wrench", "sensors", "base")
-"""What is measured."""
+RECORDED_SIGNALS = ("time", *JOINT_SIGNALS, "wrench", "sensors", "base")
+"""All signals that can be measured."""
 
 TRUE_JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque", "friction")
+"""True signals of a simulation, joint by joint."""
 
 TRUE_SIGNALS = (*TRUE_JOINT_SIGNALS, "wrench", "sensors")
-"""What a simulation knows besides."""
+"""All true signals of a simulation."""
 
 UNITS = {
     "revolute": {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
@@ -40,15 +41,15 @@ UNITS = {
     | dict.fromkeys(("torque", "friction"), "N")
     | {"temperature": "degC"},
 }
-"""Of what is measured at a joint, by the joint's kind."""
+"""Units of joint signals, keyed by joint type and signal."""
 
 
 def unit_of(column: str, kinds: Mapping[str, str]) -> str:
     """Unit of a column.
 
     Args:
-        column: Its name.
-        kinds: Of the joints, by name; a joint that is not there is taken as revolute.
+        column: Name of the column.
+        kinds: Joint types keyed by joint name; other joints are assumed to be revolute.
     """
     if column == "time":
         return "s"
@@ -61,22 +62,28 @@ def unit_of(column: str, kinds: Mapping[str, str]) -> str:
 
 
 def signal_of(column: str) -> str:
-    """truth/position/elbow -> truth/position; position/elbow -> position; time -> time."""
+    """Signal of a column.
+
+    For example, the signal of truth/position/elbow is truth/position, the signal of position/elbow
+    is position, and the signal of time is time.
+    """
     parts = column.split("/")
     return "/".join(parts[:2]) if parts[0] == "truth" else parts[0]
 
 
-def members_of(
+def column_members(
     signal: str, joints: tuple[str, ...], sensors: tuple[str, ...] = ()
 ) -> tuple[str, ...]:
-    """What a signal's columns are of: the plate's channels, sensors', a pose's numbers, or joints.
+    """Suffixes of a signal's column names: components of wrenches or poses, or joint names.
 
     Args:
-        signal: Of `SIGNALS`, those of the truth too.
-        joints: Their names.
+        signal: Name from `RECORDED_SIGNALS`, or from `TRUE_SIGNALS` with or without "truth/".
+        joints: Joint names.
         sensors: Names of force sensors.
     """
-    of_sensors = tuple(f"{name}/{axis}" for name in sensors for axis in AXES)
+    sensor_channels = tuple(
+        f"{name}/{axis}" for name in sensors for axis in WRENCH_COMPONENTS
+    )
     # position [m] and quaternion on the ground
     pose = (
         "x",
@@ -87,58 +94,58 @@ def members_of(
         "qy",
         "qz",
     )
-    own = {"wrench": AXES, "sensors": of_sensors, "base": pose}
-    return own.get(signal.removeprefix("truth/"), joints)
+    members = {"wrench": WRENCH_COMPONENTS, "sensors": sensor_channels, "base": pose}
+    return members.get(signal.removeprefix("truth/"), joints)
 
 
-def joints_in(columns: Sequence[str]) -> tuple[str, ...]:
-    """Joint names: those that have a position."""
+def joint_names_of_columns(columns: Sequence[str]) -> tuple[str, ...]:
+    """Joint names from the column names of positions."""
     return tuple(c.split("/", 1)[1] for c in columns if c.startswith("position/"))
 
 
-def sensors_in(columns: Sequence[str]) -> tuple[str, ...]:
-    """Names of force sensors besides the plate."""
-    own = (
+def sensor_names_of_columns(columns: Sequence[str]) -> tuple[str, ...]:
+    """Names of the robot's force sensors from the column names of their wrenches."""
+    names = (
         c.split("/", 1)[1].rpartition("/")[0]
         for c in columns
         if c.startswith("sensors/")
     )
-    return tuple(dict.fromkeys(own))
+    return tuple(dict.fromkeys(names))
 
 
-STILL = 1e-3
-"""Motion below which a joint rests [rad or m]."""
+MIN_MOTION_RANGE = 1e-3
+"""Smallest range of positions of a moving joint [rad or m]."""
 
-LARGEST = 1e12
-"""What no instrument measures, in any SI unit."""
+MAX_VALUE = 1e12
+"""Upper bound on the magnitude of measured values, in any SI unit."""
 
 
 def check_samples(count: int, source: str) -> None:
-    """Refuse a recording of fewer than two samples.
+    """Check that a recording has at least two samples.
 
     Args:
-        count: Of its samples.
-        source: Its name, for errors.
+        count: Number of samples.
+        source: Name of the recording, for error messages.
 
     Raises:
-        RecordingError: It has fewer.
+        RecordingError: There are fewer than two samples.
     """
     if count < 2:
         raise RecordingError(
-            f"{source}: {plural(count, 'sample')}, which is no recording"
+            f"{source}: {count_with_noun(count, 'sample')}, which is no recording"
         )
 
 
 Segments = tuple[tuple[int, int], ...]
-"""Blocks without a gap: the first sample of each, and the one after its last."""
+"""Blocks without gaps: index of the first sample, and index after the last sample."""
 
 
 def segments_of(time: Array, gaps: Sequence[float]) -> Segments:
-    """Segments of a recording.
+    """Segments of a recording between its gaps, as index ranges.
 
     Args:
-        time: Of its samples, (M,) [s].
-        gaps: Times of the first samples after gaps [s]; others than its own change nothing.
+        time: Times of the samples, (M,) [s].
+        gaps: Times of the first samples after gaps [s]; times outside the recording are ignored.
     """
     edges = sorted({0, *np.searchsorted(time, gaps).tolist(), len(time)})
     return tuple(pairwise(edges)) or ((0, 0),)
@@ -147,15 +154,15 @@ def segments_of(time: Array, gaps: Sequence[float]) -> Segments:
 def check_columns(
     columns: Mapping[str, Array], source: str, segments: Segments
 ) -> None:
-    """Whether every value is a measurement and the sampling is uniform but for gaps.
+    """Check that all values are valid and sampling is uniform within the segments.
 
     Args:
-        columns: All measured columns, (M,) each, `time` among them.
-        source: What the recording is called.
-        segments: Between the gaps.
+        columns: All measured columns, (M,) each, including `time`.
+        source: Name of the recording, for error messages.
+        segments: Segments between the gaps.
 
     Raises:
-        RecordingError: Names the first bad channel, sample and time.
+        RecordingError: A value or time is invalid; the message names the first invalid one.
     """
     time = columns["time"]
     check_samples(len(time), source)
@@ -166,19 +173,19 @@ def check_columns(
 
 
 def check_values(columns: Mapping[str, Array], source: str, first: int = 0) -> None:
-    """Whether every value of a part of a recording is a measurement.
+    """Check that all values of a part of a recording are finite and below `MAX_VALUE`.
 
     Args:
-        columns: Of consecutive samples, (M,) each, `time` among them.
-        source: What the recording is called.
-        first: Number of the part's first sample.
+        columns: Columns of consecutive samples, (M,) each, including `time`.
+        source: Name of the recording, for error messages.
+        first: Index of the part's first sample.
 
     Raises:
-        RecordingError: Names the first bad channel, sample and time.
+        RecordingError: A value is invalid; the message names channel, sample and time.
     """
     time = columns["time"]
     for label, values in columns.items():
-        bad = np.flatnonzero(~(np.abs(values) < LARGEST))
+        bad = np.flatnonzero(~(np.abs(values) < MAX_VALUE))
         if bad.size:
             k = bad[0]
             raise RecordingError(
@@ -189,27 +196,28 @@ def check_values(columns: Mapping[str, Array], source: str, first: int = 0) -> N
 
 
 def check_times(time: Array, source: str, typical: float, first: int = 0) -> None:
-    """Whether the sampling of a part of a recording is uniform.
+    """Check that the sampling of a part of a recording is uniform to within 1 %.
 
     Args:
-        time: Of consecutive samples, (M,) [s].
-        source: What the recording is called.
-        typical: Its sampling time [s].
-        first: Number of the part's first sample.
+        time: Times of consecutive samples, (M,) [s]; fewer than two are not checked.
+        source: Name of the recording, for error messages.
+        typical: Sampling time of the recording [s].
+        first: Index of the part's first sample.
 
     Raises:
-        RecordingError: Names the first bad sample.
+        RecordingError: The times do not increase, or a sampling time differs from `typical` by more
+            than 1 %; the message names the sample.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         steps = np.diff(time)
     if steps.size == 0:
         return
     least, most = steps.min(), steps.max()
-    if not least > 0:  # what is no number is not
+    if not least > 0:  # also for NaN
         k = int(np.argmin(steps)) + first
         raise RecordingError(f"{source}: time does not increase after sample {k}")
     check_sampling_time(typical, source)
-    # greatest deviation of a sampling time from the others, relative
+    # largest relative deviation of a sampling time from the typical sampling time
     if max(most - typical, typical - least) > 0.01 * typical:
         worst = int(np.argmax(np.abs(steps - typical)))
         raise RecordingError(
@@ -219,14 +227,14 @@ def check_times(time: Array, source: str, typical: float, first: int = 0) -> Non
 
 
 def check_sampling_time(step: float, source: str) -> None:
-    """Whether a sampling time is one.
+    """Check that a sampling time is between 1e-9 and 1e6 s.
 
     Args:
-        step: From sample to sample [s].
-        source: What the recording is called.
+        step: Sampling time [s].
+        source: Name of the recording, for error messages.
 
     Raises:
-        RecordingError: It is not.
+        RecordingError: The sampling time is out of range.
     """
     if not 1e-9 <= step <= 1e6:
         raise RecordingError(

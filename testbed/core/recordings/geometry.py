@@ -1,4 +1,4 @@
-"""Of which robot a recording is, and under which gravity: what it keeps, and the comparison."""
+"""Robot geometry and gravity of a recording, and their comparison with a model."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.metadata import JointGeometry, Metadata, three
+from testbed.core.recordings.metadata import JointGeometry, Metadata, vector_tuple
 from testbed.core.robot.tree import Tree
 
-TOLERANCE = 1e-9
-"""Greatest difference of axes, offsets and rotations within one robot."""
+GEOMETRY_TOLERANCE = 1e-9
+"""Largest difference between axes, offsets [m] or rotation matrices that are considered equal."""
 
 
-class Described(Protocol):
-    """What says of which robot it is."""
+class DescribedSource(Protocol):
+    """Protocol of a source with joint names and metadata, such as a recording."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -26,66 +26,74 @@ class Described(Protocol):
 
     @property
     def metadata(self) -> Metadata:
-        """As `Recording.metadata`."""
+        """Metadata, as in `Recording.metadata`."""
 
 
-def geometry(tree: Tree) -> dict[str, JointGeometry]:
-    """Geometry of the joints, by name."""
+def joint_geometry(tree: Tree) -> dict[str, JointGeometry]:
+    """Geometry of a robot's joints, keyed by joint name."""
     parents = ["bedplate" if p < 0 else tree.names[p] for p in tree.parents]
     return {
         joint.name: JointGeometry(
             joint.kind,
             parent,
-            three(joint.axis),
-            three(joint.offset),
+            vector_tuple(joint.axis),
+            vector_tuple(joint.offset),
             (
-                three(joint.rotation[0]),
-                three(joint.rotation[1]),
-                three(joint.rotation[2]),
+                vector_tuple(joint.rotation[0]),
+                vector_tuple(joint.rotation[1]),
+                vector_tuple(joint.rotation[2]),
             ),
         )
         for joint, parent in zip(tree.joints, parents, strict=True)
     }
 
 
-def check_robot(recording: Described, tree: Tree) -> None:
-    """Whether a recording is of this robot: joints by name, and their geometry if known.
+def check_robot(recording: DescribedSource, tree: Tree) -> None:
+    """Check that a recording belongs to a robot: joint names, and joint geometry if recorded.
+
+    The order of the joint names does not matter. Axes, offsets and rotations must agree within
+    GEOMETRY_TOLERANCE.
+
+    Args:
+        recording: Recording, or another source with joint names and metadata.
+        tree: The robot.
 
     Raises:
-        RecordingError: It is not.
+        RecordingError: The joint names or the geometry differ.
     """
     if sorted(recording.names) != sorted(tree.names):
         raise RecordingError(
             f"the recording is of another robot: it has the joints {', '.join(recording.names)}, "
             f"the model has {', '.join(tree.names)}"
         )
-    for name, joint in geometry(tree).items():
+    for name, joint in joint_geometry(tree).items():
         known = asdict(recording.metadata.geometry.get(name, JointGeometry()))
-        for what, value in asdict(joint).items():
-            there = known[what]
-            if there is not None and not _same(there, value):
+        for field, value in asdict(joint).items():
+            recorded = known[field]
+            if recorded is not None and not _is_equal(recorded, value):
                 raise RecordingError(
-                    f"the recording is of another robot: its joint '{name}' has {what} "
-                    f"{json.dumps(there)}, the model has {json.dumps(value)}"
+                    f"the recording is of another robot: its joint '{name}' has {field} "
+                    f"{json.dumps(recorded)}, the model has {json.dumps(value)}"
                 )
 
 
-def _same(there: Any, here: Any) -> bool:
-    if isinstance(here, str):
-        return bool(there == here)
-    if np.shape(there) != np.shape(here):
+def _is_equal(recorded: Any, value: Any) -> bool:
+    """True if a recorded value equals the model's value (numbers within GEOMETRY_TOLERANCE)."""
+    if isinstance(value, str):
+        return bool(recorded == value)
+    if np.shape(recorded) != np.shape(value):
         return False
-    return bool(np.abs(np.subtract(there, here)).max() <= TOLERANCE)
+    return bool(np.abs(np.subtract(recorded, value)).max() <= GEOMETRY_TOLERANCE)
 
 
-def in_its_gravity(
-    tree: Tree, source: Described, gravity: ArrayLike | None = None
+def with_recorded_gravity(
+    tree: Tree, source: DescribedSource, gravity: ArrayLike | None = None
 ) -> Tree:
-    """The robot under the gravity that was given, or else the recording's, or the model file's.
+    """Robot with the given gravity or, if it is None, with recorded gravity if available.
 
     Args:
-        tree: The robot.
-        source: A recording; it may say its gravity.
-        gravity: (3,) [m/s^2], bedplate frame, or None.
+        tree: The robot; its own gravity is kept if no other gravity is available.
+        source: Recording whose metadata may contain the gravity.
+        gravity: Gravity in the bedplate frame, (3,) [m/s^2], or None.
     """
     return tree.with_gravity(source.metadata.gravity if gravity is None else gravity)

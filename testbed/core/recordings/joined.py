@@ -1,4 +1,4 @@
-"""Several recordings of one robot as one source, with gaps between them."""
+"""Several recordings of a robot combined into one source, with gaps between the recordings."""
 
 from __future__ import annotations
 
@@ -10,32 +10,40 @@ import numpy as np
 
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import DerivedSource, Source, by_segments, counted
+from testbed.core.recordings.source import (
+    DerivedSource,
+    Source,
+    evaluated_samples,
+    segment_sources,
+)
 
 
 class Joined(DerivedSource):
-    """Recordings one after the other, none of which knows of the others.
+    """Source of several recordings of a robot in sequence, with gaps in between.
 
-    The header is the first one's, with the diagnostics of all and the signals that all have; gaps
-    count as samples, and the others' wrenches are changed as the first one's tare wants it.
+    The header is that of the first recording, with the diagnostics of all recordings and their
+    common signals. Gaps are included in the sample numbering. All wrenches are shifted to the tare
+    of the first recording.
     """
 
     def __init__(self, parts: Sequence[Source]) -> None:
-        """Recordings of one robot at one rate.
+        """Join recordings of one robot at one rate.
 
         Args:
-            parts: In any order; nothing is said of what happened between them, or in their gaps.
+            parts: Recordings in any order; nothing is assumed about the motion between them.
 
         Raises:
-            RecordingError: They do not belong together.
+            RecordingError: The recordings differ in robot, gravity, rate or presence of a tare.
         """
         self._parts = tuple(
-            counted(segment) for part in parts for segment in by_segments(part)
+            evaluated_samples(segment)
+            for part in parts
+            for segment in segment_sources(part)
         )
         first = self._parts[0]
-        _check_alike(self._parts)
+        _check_consistency(self._parts)
         lengths = np.array([part.samples for part in self._parts])
-        # samples between two recordings, and a second at least: more rows than noise remembers
+        # samples between two recordings, at least a second: longer than noise is correlated
         ends = np.cumsum(lengths + max(16, round(first.rate)))
         begins = np.append(0, ends[:-1])
         super().__init__(first, int(begins[-1] + lengths[-1]), first.rate)
@@ -46,50 +54,63 @@ class Joined(DerivedSource):
             s for s in first.signals if all(s in p.signals for p in parts)
         )
         self.senses_kinematics = all(part.senses_kinematics for part in parts)
-        said = dict.fromkeys(
+        diagnostics = dict.fromkeys(
             d for part in self._parts for d in part.metadata.diagnostics
         )
         self.metadata = replace(
-            first.metadata, counted=None, gaps=(), diagnostics=tuple(said)
+            first.metadata, counted=None, gaps=(), diagnostics=tuple(diagnostics)
         )
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1, all of one recording, without the truth."""
+        """Samples `first` to `last - 1` of a single recording, without the true signals.
+
+        Times are measured from the start of the first recording. Signals that some recordings lack
+        are removed.
+
+        Raises:
+            ValueError: The samples are in a gap or belong to several recordings.
+        """
         for part, (begin, end) in zip(self._parts, self.segments, strict=True):
             if begin <= first and last <= end:
-                found = part.part(first - begin, last - begin)
-                changed: dict[str, Any] = {"tare": self.tare}
-                changed["metadata"] = replace(found.metadata, gaps=())
+                recording = part.part(first - begin, last - begin)
+                changes: dict[str, Any] = {"tare": self.tare}
+                changes["metadata"] = replace(recording.metadata, gaps=())
                 if (
-                    found.wrench is not None
+                    recording.wrench is not None
                     and part.tare is not None
                     and self.tare is not None
                 ):
-                    changed["wrench"] = found.wrench + (self.tare - part.tare)
-                changed |= dict.fromkeys(
-                    s for s in found.signals if s not in self.signals
+                    changes["wrench"] = recording.wrench + (self.tare - part.tare)
+                changes |= dict.fromkeys(
+                    s for s in recording.signals if s not in self.signals
                 )
-                changed["time"] = (
-                    np.asarray(found.time) - found.time[0] + first / self.rate
+                changes["time"] = (
+                    np.asarray(recording.time) - recording.time[0] + first / self.rate
                 )
-                return replace(found, **changed)
+                return replace(recording, **changes)
         raise ValueError(f"samples {first} to {last} are not of one recording")
 
 
 def joined(parts: Sequence[Source]) -> Source:
-    """Recordings of one robot as one source; a single one as it is.
+    """Join recordings of a robot into one source; return a single recording unchanged.
 
     Args:
-        parts: One or more.
+        parts: One or more recordings.
 
     Raises:
-        RecordingError: They do not belong together.
+        RecordingError: The recordings differ in robot, gravity, rate or presence of a tare.
     """
     return parts[0] if len(parts) == 1 else Joined(parts)
 
 
-def _check_alike(parts: Sequence[Source]) -> None:
-    """Whether recordings are of one robot under one gravity, at one rate, and state the tare."""
+def _check_consistency(parts: Sequence[Source]) -> None:
+    """Check that recordings agree in joints, rate, gravity, geometry and presence of a tare.
+
+    The joints may be in different orders, and rates may differ by 0.1 %.
+
+    Raises:
+        RecordingError: A recording differs from the first one.
+    """
     first = parts[0]
     for k, other in enumerate(parts[1:], start=2):
         if sorted(other.names) != sorted(first.names):
@@ -97,15 +118,17 @@ def _check_alike(parts: Sequence[Source]) -> None:
                 f"recording {k} is of another robot than the first: it has the joints "
                 f"{', '.join(other.names)}, the first has {', '.join(first.names)}"
             )
-        # relative difference of sampling rates that are one
+        # largest relative difference of equal sampling rates
         if abs(other.rate - first.rate) > 1e-3 * first.rate:
             raise RecordingError(
                 f"recording {k} has {other.rate:g} samples a second, the first has "
                 f"{first.rate:g}: import them at one rate"
             )
-        for what in ("gravity", "geometry"):
-            if getattr(other.metadata, what) != getattr(first.metadata, what):
-                raise RecordingError(f"recording {k} has another {what} than the first")
+        for field in ("gravity", "geometry"):
+            if getattr(other.metadata, field) != getattr(first.metadata, field):
+                raise RecordingError(
+                    f"recording {k} has another {field} than the first"
+                )
         if (other.tare is None) != (first.tare is None):
             raise RecordingError(
                 f"recording {k} and the first do not both say what of the wrench is the pedestal's"

@@ -1,4 +1,4 @@
-"""Metadata of a recording, typed and checked once, where its file is read."""
+"""Typed metadata of a recording, checked when its file is read."""
 
 from __future__ import annotations
 
@@ -7,65 +7,66 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Literal
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import decode, encode
+from testbed.core.base.codec import from_json_values, to_json_values
 from testbed.core.base.diagnostics import Diagnostic
 
-Three = tuple[float, float, float]
+Vector3 = tuple[float, float, float]
 Table = Mapping[str, Any]
 
-IN_FILES = {"report": "import"}
-"""Names in files that are no names in Python."""
+FILE_KEYS = {"report": "import"}
+"""Keys in files that are reserved words of Python, keyed by field name."""
 
 
-def three(vector: Array) -> Three:
-    """Vector, (3,), as plain numbers."""
+def vector_tuple(vector: Array) -> Vector3:
+    """Vector of three components, (3,), as a tuple of floats."""
     x, y, z = vector.tolist()
     return x, y, z
 
 
 @dataclass(frozen=True)
 class JointGeometry:
-    """Geometry of a joint as far as it is known; None for what is not.
+    """Geometry of a joint; unknown values are None.
 
     Attributes:
-        kind: Of its motion.
-        parent: Joint that carries it, "bedplate" for none.
-        axis: In the frame of its body.
-        offset: p_PB_P of its frame B in the parent's P [m].
-        rotation: R_PB at position zero, row by row.
+        kind: Type of the joint.
+        parent: Name of the parent joint, or "bedplate" if there is no parent joint.
+        axis: Joint axis in the frame B of the joint's body.
+        offset: Position p_PB_P of frame B in the parent's frame P [m].
+        rotation: Rotation matrix R_PB at position zero, row by row.
     """
 
     kind: Literal["revolute", "prismatic"] | None = None
     parent: str | None = None
-    axis: Three | None = None
-    offset: Three | None = None
-    rotation: tuple[Three, Three, Three] | None = None
+    axis: Vector3 | None = None
+    offset: Vector3 | None = None
+    rotation: tuple[Vector3, Vector3, Vector3] | None = None
 
 
 @dataclass(frozen=True)
 class Metadata:
-    """Metadata of a recording; empty, or None, where they are not known.
+    """Metadata of a recording; unknown values are empty or None.
 
     Attributes:
         robot: Name of the robot.
-        gravity: (gx, gy, gz) [m/s^2], bedplate frame.
-        geometry: Of the joints, by name.
-        counted: Times of the samples that count [s].
+        gravity: Gravity (gx, gy, gz) in the bedplate frame [m/s^2].
+        geometry: Geometry of the joints, keyed by joint name.
+        counted: Time of the first evaluated sample, and time after the last one [s].
         gaps: Times of the first samples after gaps [s].
-        sensors: Places of force sensors in the robot, by name.
-        segment: Force sensor whose wrench it is, and those beyond which nothing is in it.
-        effort: By joint, what its torque was made of: "current", "pwm", "motor" or "torque".
-        mapping: Content of the mapping file that made it; None for a recording of our own.
-        report: Of the import.
-        verdict: Of the check, and the hash of what it holds for.
-        diagnostics: Of the recording itself.
+        sensors: Positions of the force sensors in the robot, keyed by sensor name.
+        segment: Name of the force sensor that measured the wrench, then names of the sensors whose
+            wrenches were subtracted from it.
+        effort: Source of the torque, keyed by joint: "current", "pwm", "motor" or "torque".
+        mapping: Content of the mapping file of the import; None for other recordings.
+        report: Report of the import.
+        verdict: Verdict of the check, and hash of the checked data.
+        diagnostics: Diagnostics of the recording.
         model_sha256: Hash of the model file that was simulated.
-        others: Further metadata by name, kept as they are.
+        others: Other metadata keyed by name, unchanged.
     """
 
     __pydantic_config__: ClassVar[Any] = {"allow_inf_nan": False}
     robot: str = ""
-    gravity: Three | None = None
+    gravity: Vector3 | None = None
     geometry: Mapping[str, JointGeometry] = field(default_factory=dict)
     counted: tuple[float, float] | None = None
     gaps: tuple[float, ...] = ()
@@ -81,40 +82,46 @@ class Metadata:
 
     @staticmethod
     def parse(content: Table) -> Metadata:
-        """Metadata of a file's table.
+        """Parse metadata from a table of a file.
 
         Args:
-            content: Plain values, as JSON gives them.
+            content: Values as parsed from JSON; null means unknown, and unknown keys are stored in
+                `others`.
 
         Raises:
-            ValueError: A value is not of its type; names it.
+            ValueError: A value has the wrong type; the message names its key.
         """
         names = {
-            IN_FILES.get(each.name, each.name): each.name for each in fields(Metadata)
+            FILE_KEYS.get(item.name, item.name): item.name for item in fields(Metadata)
         }
         known = {
             names[k]: v for k, v in content.items() if k in names and v is not None
         }
         others = {k: v for k, v in content.items() if k not in names}
         try:
-            metadata: Metadata = decode(Metadata, known | {"others": others}, {})
+            metadata: Metadata = from_json_values(
+                Metadata, known | {"others": others}, {}
+            )
         except ValueError as error:
             first = error.errors()[0]  # type: ignore[attr-defined]
-            place = ".".join(f"'{each}'" for each in first["loc"])
+            place = ".".join(f"'{item}'" for item in first["loc"])
             raise ValueError(f"its {place}: {first['msg']}") from None
         return metadata
 
     def table(self) -> dict[str, Any]:
-        """Metadata that are known, as JSON takes them."""
-        content: dict[str, Any] = encode(self)
+        """Known metadata as values that can be written as JSON, by key.
+
+        Values equal to the default are left out. The items of `others` become keys of the table.
+        """
+        content: dict[str, Any] = to_json_values(self)
         known = {
             k: v
             for k, v in content.items()
             if getattr(self, k) != getattr(NO_METADATA, k)
         }
         others: dict[str, Any] = known.pop("others", {})
-        return {IN_FILES.get(k, k): v for k, v in known.items()} | others
+        return {FILE_KEYS.get(k, k): v for k, v in known.items()} | others
 
 
 NO_METADATA = Metadata()
-"""Of a recording of which nothing is known."""
+"""Metadata of a recording for which all values are unknown."""

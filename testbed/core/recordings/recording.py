@@ -1,7 +1,7 @@
-"""A recording: what the instrument measured, and, walled off, what really happened.
+"""Recordings: signals measured by an instrument and, separately, the simulated truth.
 
-Wrench    of the bedplate on the robot, force first, bedplate axes, moment about O^0
-Times     of the first instant of each sample
+Wrench    wrench of the bedplate on the robot, force first, along the bedplate's axes, about O^0
+Times     first instant of each sample
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from testbed.core.base.arrays import Array, readonly
+from testbed.core.base.arrays import Array, readonly_array
 from testbed.core.base.errors import RecordingError
-from testbed.core.base.files import replacing
-from testbed.core.base.frames import columns_of, frame_of
+from testbed.core.base.files import atomic_output
+from testbed.core.base.frames import data_frame, frame_columns
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.recordings.columns import (
     JOINT_SIGNALS,
-    SIGNALS,
+    RECORDED_SIGNALS,
     TRUE_JOINT_SIGNALS,
     TRUE_SIGNALS,
     Segments,
     check_columns,
     check_sampling_time,
-    joints_in,
-    members_of,
+    column_members,
+    joint_names_of_columns,
     segments_of,
-    sensors_in,
+    sensor_names_of_columns,
     signal_of,
     unit_of,
 )
@@ -37,22 +37,22 @@ from testbed.core.recordings.geometry import check_robot
 from testbed.core.recordings.metadata import NO_METADATA, Metadata
 from testbed.core.robot.tree import Tree, require_tree
 
-READ = (*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS))
-"""Signals that are read from a file; its other columns are left alone."""
+FILE_SIGNALS = (*RECORDED_SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS))
+"""Signals that are read from a file; other columns are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What really happened, sampled as the measurements are. For comparison only.
+    """True signals of a simulation at the sampling times, for comparison only.
 
     Attributes:
-        position: (M, n) [rad or m].
-        velocity: (M, n) [rad/s or m/s].
-        acceleration: (M, n) [rad/s^2 or m/s^2].
-        torque: What the motors delivered, (M, n) [N m or N].
-        friction: What friction took from it, (M, n) [N m or N].
-        wrench: (M, 6) [N, N m].
-        sensors: Of the robot's force sensors, (M, 6 S) [N, N m]; None where there are none.
+        position: Joint positions, (M, n) [rad or m].
+        velocity: Joint velocities, (M, n) [rad/s or m/s].
+        acceleration: Joint accelerations, (M, n) [rad/s^2 or m/s^2].
+        torque: Motor torques, (M, n) [N m or N].
+        friction: Friction torques, part of the motor torques, (M, n) [N m or N].
+        wrench: Wrench of the bedplate, (M, 6) [N, N m].
+        sensors: Wrenches of the robot's force sensors, (M, 6 S) [N, N m]; None without sensors.
     """
 
     position: Array
@@ -66,29 +66,29 @@ class Truth:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Summarized):
-    """M samples of encoders, and of motor torques or the plate or both, at a constant rate.
+    """Recording at a constant rate: joint positions with motor torques, plate wrench, or both.
 
-    Samples may be missing: `segments` are without a gap.
+    A recording may have gaps; `segments` are the blocks of samples between the gaps.
 
     Attributes:
         names: Joint names; the order of all joint columns.
-        time: (M,) [s].
-        position: Encoders, (M, n) [rad or m].
-        torque: Motor torques as the drives report them, (M, n) [N m or N]; None if they
-            were not recorded.
-        wrench: The plate, (M, 6) [N, N m]; contains `tare`; None if there was no plate.
-        velocity: Where the instrument senses it, (M, n) [rad/s or m/s].
-        acceleration: Where the instrument senses it, (M, n) [rad/s^2 or m/s^2].
-        tare: Known static wrench of the pedestal that stands on the plate, (6,) [N, N m];
-            None if the recording does not say: the model's pedestal is then assumed.
-        sensors: Wrenches of force sensors in the robot, one after the other, (M, 6 S) [N, N m]:
-            what each exerts on the links beyond it, about its origin in its axes.
-        sensor_names: Their names; `metadata.sensors` says where they are.
-        base: Position and quaternion (w, x, y, z) of a base that moves, on the ground, (M, 7)
-            [m]; the wrench is then the ground's, about the ground's origin.
-        temperature: Of the joints' drives, (M, n) [degC].
-        truth: What really happened, where a simulation made the recording.
-        metadata: Robot, gravity, mapping, and what else is known.
+        time: Sampling times, (M,) [s].
+        position: Encoder positions, (M, n) [rad or m].
+        torque: Motor torques as reported by the drives, (M, n) [N m or N]; None if not
+            recorded.
+        wrench: Wrench of the plate, (M, 6) [N, N m], including `tare`; None without a plate.
+        velocity: Sensed velocities, (M, n) [rad/s or m/s]; None if not sensed.
+        acceleration: Sensed accelerations, (M, n) [rad/s^2 or m/s^2]; None if not sensed.
+        tare: Known static wrench of the pedestal on the plate, (6,) [N, N m]; if None, the
+            model's pedestal is assumed.
+        sensors: Wrenches of the S force sensors in the robot, side by side, (M, 6 S) [N, N m]: the
+            wrench that each sensor exerts on the links beyond, about its origin, along its axes.
+        sensor_names: Names of these force sensors; `metadata.sensors` has their positions.
+        base: Position and quaternion (w, x, y, z) of a moving base in the ground frame, (M, 7) [m];
+            the wrench is then that of the ground, about the origin of the ground frame.
+        temperature: Temperatures of the joints' drives, (M, n) [degC].
+        truth: True signals of a simulated recording; None for real recordings.
+        metadata: Robot, gravity, mapping, and other metadata.
     """
 
     names: tuple[str, ...]
@@ -115,10 +115,10 @@ class Recording(Summarized):
             "base": (samples, 7),
         }
         shapes["sensors"] = (samples, 6 * len(self.sensor_names))
-        for name in (*SIGNALS, "tare"):
+        for name in (*RECORDED_SIGNALS, "tare"):
             value = getattr(self, name)
             if value is not None:
-                value = readonly(value, shapes.get(name, (samples, n)), name)
+                value = readonly_array(value, shapes.get(name, (samples, n)), name)
                 object.__setattr__(self, name, value)
 
     @property
@@ -128,25 +128,27 @@ class Recording(Summarized):
 
     @property
     def segments(self) -> Segments:
-        """Blocks without a gap: the first sample of each, and the one after its last."""
+        """Blocks without gaps: index of the first sample, and index after the last sample."""
         return segments_of(self.time, self.metadata.gaps)
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """What was measured, of `SIGNALS`."""
-        return tuple(name for name in SIGNALS if getattr(self, name) is not None)
+        """Names of the measured signals, from `RECORDED_SIGNALS`."""
+        return tuple(
+            name for name in RECORDED_SIGNALS if getattr(self, name) is not None
+        )
 
     @property
     def senses_kinematics(self) -> bool:
-        """Whether velocities and accelerations were sensed, both."""
+        """True if both velocities and accelerations were sensed."""
         return self.velocity is not None and self.acceleration is not None
 
     @property
     def rate(self) -> float:
-        """Samples a second [Hz].
+        """Sampling rate [Hz], from the first segment.
 
         Raises:
-            RecordingError: Its times are no times of samples.
+            RecordingError: The sampling time is invalid.
         """
         first, last = self.segments[0]
         length, steps = float(self.time[last - 1] - self.time[first]), last - first - 1
@@ -154,13 +156,13 @@ class Recording(Summarized):
         return steps / length
 
     def measured(self, signal: str) -> Array:
-        """A signal that must be there, (M, n), (M, 6) or (M,).
+        """Values of a measured signal, (M, n), (M, 6) or (M,).
 
         Args:
-            signal: Of `SIGNALS`.
+            signal: Name from `RECORDED_SIGNALS`.
 
         Raises:
-            RecordingError: It was not measured.
+            RecordingError: The signal was not measured.
         """
         values: Array | None = getattr(self, signal)
         if values is None:
@@ -168,70 +170,74 @@ class Recording(Summarized):
         return values
 
     def part(self, first: int, last: int) -> Recording:
-        """What was measured in samples `first` to `last` - 1; nothing is copied."""
-        cut: dict[str, Any] = {s: self.measured(s)[first:last] for s in self.signals}
-        return replace(self, truth=None, **cut)
+        """Samples `first` to `last - 1`, without the true signals and without copying."""
+        signals: dict[str, Any] = {
+            s: self.measured(s)[first:last] for s in self.signals
+        }
+        return replace(self, truth=None, **signals)
 
     def blind(self) -> Recording:
-        """The same recording without the truth: what an estimator is given."""
+        """Recording without the true signals, as passed to estimators."""
         return replace(self, truth=None)
 
     def ordered(self, tree: Tree) -> Recording:
-        """Joint columns by name in the order of `tree.names`, those of the truth too.
+        """Recording with joint columns in the order of `tree.names`, including true signals.
 
         Raises:
-            RecordingError: The recording is of another robot.
+            RecordingError: The recording belongs to another robot.
         """
         check_robot(self, tree)
         return self if self.names == tree.names else self.of_joints(tree.names)
 
     def of_joints(self, names: Sequence[str]) -> Recording:
-        """Columns of some joints, those of the truth too.
+        """Recording with the columns of some joints, including true signals.
 
         Args:
-            names: Of joints that it has, in the order of their columns.
+            names: Names of recorded joints, in the order of the new columns.
         """
         order = [self.names.index(name) for name in names]
-        there = [signal for signal in JOINT_SIGNALS if signal in self.signals]
-        picked: dict[str, Any] = {s: self.measured(s)[:, order] for s in there}
+        joint_signals = [signal for signal in JOINT_SIGNALS if signal in self.signals]
+        selected: dict[str, Any] = {
+            s: self.measured(s)[:, order] for s in joint_signals
+        }
         truth = self.truth
         if truth is not None:
             joints = {s: getattr(truth, s)[:, order] for s in TRUE_JOINT_SIGNALS}
             truth = replace(truth, **joints)
-        return replace(self, names=tuple(names), truth=truth, **picked)
+        return replace(self, names=tuple(names), truth=truth, **selected)
 
     def columns(self) -> dict[str, Array]:
-        """Measured channels by column name, (M,) each."""
-        found: dict[str, Array] = {}
+        """Measured channels keyed by column name, (M,) each."""
+        columns: dict[str, Array] = {}
         for signal in self.signals:
-            found |= _split(
+            columns |= _signal_columns(
                 signal, self.measured(signal), self.names, self.sensor_names
             )
-        return found
+        return columns
 
     def true_columns(self) -> dict[str, Array]:
-        """What really happened by column name, (M,) each; none where it is not known."""
-        found: dict[str, Array] = {}
+        """True signals keyed by column name, (M,) each; empty for real recordings."""
+        columns: dict[str, Array] = {}
         for signal in TRUE_SIGNALS if self.truth is not None else ():
             values = getattr(self.truth, signal)
             if values is None:
                 continue
-            own = _split(signal, values, self.names, self.sensor_names)
-            found |= {f"truth/{k}": v for k, v in own.items()}
-        return found
+            channels = _signal_columns(signal, values, self.names, self.sensor_names)
+            columns |= {f"truth/{k}": v for k, v in channels.items()}
+        return columns
 
     def units(self) -> dict[str, str]:
-        """Unit of every column, those of the truth too."""
-        kinds = {
-            name: each.kind or "revolute"
-            for name, each in self.metadata.geometry.items()
+        """Unit of each column, including true signals, keyed by column name."""
+        joint_types = {
+            name: joint.kind or "revolute"
+            for name, joint in self.metadata.geometry.items()
         }
-        every = (*self.columns(), *self.true_columns())
-        return {column: unit_of(column, kinds) for column in every}
+        columns = (*self.columns(), *self.true_columns())
+        return {column: unit_of(column, joint_types) for column in columns}
 
     @property
     def header(self) -> dict[str, Any]:
-        """Tare and metadata, as JSON of files takes them."""
+        """Tare and metadata as values for the JSON text of a file."""
         tare = None if self.tare is None else self.tare.tolist()
         return {"tare": tare, "facts": self.metadata.table()}
 
@@ -239,17 +245,22 @@ class Recording(Summarized):
     def from_columns(
         columns: Mapping[str, Array], header: Any, source: str
     ) -> Recording:
-        """A recording of columns and metadata as a file yields them.
+        """Build a recording from the columns and metadata of a file.
 
         Args:
-            columns: By name, (M,) each; `time` and a position for every joint must be there.
-            header: As of `Recording.header`, unchecked.
-            source: What the recording is called.
+            columns: Columns keyed by name, (M,) each; `time` and the position of each joint are
+                required. Columns of unknown signals are ignored, and so are true signals unless
+                they are complete (wrenches of sensors are optional).
+            header: Tare and metadata as in `Recording.header`, not yet checked.
+            source: Name of the recording, for error messages.
 
         Raises:
-            RecordingError: A channel is missing, or the metadata are not what they should be.
+            RecordingError: A channel is missing, or the metadata are invalid.
         """
-        names, sensors = joints_in(list(columns)), sensors_in(list(columns))
+        names, sensors = (
+            joint_names_of_columns(list(columns)),
+            sensor_names_of_columns(list(columns)),
+        )
         if "time" not in columns:
             raise RecordingError(f"{source}: channel 'time' is missing")
         if not names:
@@ -258,54 +269,60 @@ class Recording(Summarized):
             tare, metadata = parse_header(header)
         except ValueError as error:
             raise RecordingError(f"{source}: not a recording: {error}") from None
-        known = {signal_of(column) for column in columns}
-        read: dict[str, Any] = {
-            s: _joined(s, columns, names, sensors, source) for s in READ if s in known
+        signals = {signal_of(column) for column in columns}
+        values: dict[str, Any] = {
+            s: _stacked_signal(s, columns, names, sensors, source)
+            for s in FILE_SIGNALS
+            if s in signals
         }
-        true = {s: read.pop(f"truth/{s}") for s in TRUE_SIGNALS if f"truth/{s}" in read}
+        true_signals = {
+            s: values.pop(f"truth/{s}") for s in TRUE_SIGNALS if f"truth/{s}" in values
+        }
         return Recording(
             names=names,
             tare=tare,
-            truth=Truth(**true) if {*TRUE_SIGNALS} - {*true} <= {"sensors"} else None,
+            truth=Truth(**true_signals)
+            if {*TRUE_SIGNALS} - {*true_signals} <= {"sensors"}
+            else None,
             sensor_names=sensors,
             metadata=metadata,
-            **read,
+            **values,
         )
 
     @staticmethod
     def from_frame(frame: Any, robot: Tree) -> Recording:
-        """A recording of one's own data, at a constant rate.
+        """Build a recording from a data frame or from arrays, at a constant rate.
 
         Args:
-            frame: A data frame of pandas or polars, an Arrow table, or arrays by name. Columns are
-                `time` [s] and `position/JOINT` [rad or m], and what there is of `torque/JOINT`
-                [N m or N], `velocity/JOINT`, `acceleration/JOINT` and the wrench of the plate on
-                the robot `wrench/Fx` ... `wrench/Mz` [N, N m]. In a mapping, `position`, `torque`
-                and `wrench` may be arrays, (M, joints) or (M, 6).
-            robot: The robot; joints of arrays are in the order of its names.
+            frame: A data frame of pandas or polars, an Arrow table, or a mapping from names to
+                arrays. Columns are `time` [s] and `position/JOINT` [rad or m], and optionally
+                `torque/JOINT` [N m or N], `velocity/JOINT`, `acceleration/JOINT` and the wrench of
+                the plate on the robot, `wrench/Fx` ... `wrench/Mz` [N, N m]. In a mapping,
+                `position`, `torque` and `wrench` may be arrays, (M, joints) or (M, 6).
+            robot: The robot; columns of arrays are in the order of its joint names.
 
         Raises:
             RecordingError: A channel is missing, or sampling is not uniform.
         """
         require_tree(robot, "from_frame(frame, robot)")
         columns: dict[str, Array] = {}
-        for name, values in columns_of(frame).items():
+        for name, values in frame_columns(frame).items():
             columns |= (
                 {name: values}
                 if values.ndim == 1
-                else _split(name, values, robot.names, ())
+                else _signal_columns(name, values, robot.names, ())
             )
-        found = Recording.from_columns(columns, {}, "the frame")
-        check_columns(found.columns(), "the frame", found.segments)
-        return found.ordered(robot)
+        recording = Recording.from_columns(columns, {}, "the frame")
+        check_columns(recording.columns(), "the frame", recording.segments)
+        return recording.ordered(robot)
 
     def to_frame(self) -> Any:
-        """What was measured, a column a channel, as a frame of pandas, polars or Arrow."""
-        return frame_of(self.columns())
+        """Measured channels as columns of a pandas, polars or Arrow frame."""
+        return data_frame(self.columns())
 
     @property
     def summary(self) -> SummaryTable:
-        """Length, and rms and range of every channel."""
+        """Table of the recording's length, and of the rms value and range of each channel."""
         rows: list[tuple[str, ...]] = [("channel", "rms", "least", "greatest")]
         for name, values in self.columns().items():
             if name != "time":
@@ -318,10 +335,10 @@ class Recording(Summarized):
         return SummaryTable(head, tuple(rows))
 
     def save(self, path: str | Path) -> None:
-        """Write to a Parquet file, whole or not at all.
+        """Write the recording to a Parquet file, completely or not at all.
 
         Raises:
-            RecordingError: Something that is no Parquet file is there.
+            RecordingError: The path is an existing file in another format.
         """
         from testbed.core.recordings.formats.parquet import is_parquet, write_table
 
@@ -329,43 +346,48 @@ class Recording(Summarized):
             raise RecordingError(
                 f"'{path}' is there and is no recording; choose another name"
             )
-        with replacing(Path(path)) as fresh:
+        with atomic_output(Path(path)) as temporary:
             columns = self.columns() | self.true_columns()
-            write_table(fresh, self.units(), self.header, [columns])
+            write_table(temporary, self.units(), self.header, [columns])
 
     @staticmethod
     def load(path: str | Path) -> Recording:
-        """Read a Parquet file with a recording's columns.
+        """Read a recording from a Parquet file, and check its values.
 
         Raises:
-            RecordingError: The file is missing, damaged or incomplete, or holds values
-                that are not numbers, or its sampling is not uniform.
+            RecordingError: The file is missing, damaged or incomplete, contains values that are not
+                numbers, or its sampling is not uniform.
         """
         from testbed.core.recordings.formats.parquet import open_table
 
         table = open_table(Path(path))
-        wanted = [column for column in table.columns if signal_of(column) in READ]
-        columns = table.read(wanted, 0, table.samples)
+        names = [
+            column for column in table.columns if signal_of(column) in FILE_SIGNALS
+        ]
+        columns = table.read(names, 0, table.samples)
         recording = Recording.from_columns(columns, table.metadata, str(path))
         check_columns(recording.columns(), str(path), recording.segments)
         return recording
 
 
 def parse_header(header: Any) -> tuple[Array | None, Metadata]:
-    """Tare and metadata of a file.
+    """Parse tare and metadata from the keys "tare" and "facts" of a file header.
 
     Args:
-        header: As it was read.
+        header: Header as read from the file, not yet checked.
+
+    Returns:
+        Tare, (6,) [N, N m], or None; and metadata, empty if the key is missing.
 
     Raises:
-        ValueError: It is no header.
+        ValueError: The header is invalid.
     """
     if not isinstance(header, Mapping):
         raise ValueError("its metadata are no table")
     tare, content = header.get("tare"), header.get("facts") or {}
     if tare is not None:
         try:
-            tare = readonly(np.array(tare, dtype=np.float64), (6,), "tare")
+            tare = readonly_array(np.array(tare, dtype=np.float64), (6,), "tare")
         except (TypeError, ValueError):
             raise ValueError("its 'tare' is not six numbers") from None
         if not np.isfinite(tare).all():
@@ -375,31 +397,38 @@ def parse_header(header: Any) -> tuple[Array | None, Metadata]:
     return tare, Metadata.parse(content)
 
 
-def _split(
+def _signal_columns(
     signal: str, values: Array, joints: tuple[str, ...], sensors: tuple[str, ...]
 ) -> dict[str, Array]:
-    """A signal's columns by name."""
+    """Columns of a signal keyed by name, (M,) each.
+
+    Args:
+        signal: Name of the signal.
+        values: Values of the signal, (M, k), or (M,) for the time.
+        joints: Joint names.
+        sensors: Names of force sensors.
+    """
     if signal == "time":
         return {signal: values}
-    members = members_of(signal, joints, sensors)
+    members = column_members(signal, joints, sensors)
     return {f"{signal}/{member}": values[:, k] for k, member in enumerate(members)}
 
 
-def _joined(
+def _stacked_signal(
     signal: str,
     columns: Mapping[str, Array],
     joints: tuple[str, ...],
     sensors: tuple[str, ...],
     source: str,
 ) -> Array:
-    """A signal of its columns.
+    """Stack the columns of a signal into an array, (M, k), or (M,) for the time.
 
     Raises:
-        RecordingError: It has some of them only.
+        RecordingError: A column of the signal is missing.
     """
     if signal == "time":
         return columns[signal]
-    keys = [f"{signal}/{member}" for member in members_of(signal, joints, sensors)]
+    keys = [f"{signal}/{member}" for member in column_members(signal, joints, sensors)]
     missing = [key for key in keys if key not in columns]
     if missing:
         raise RecordingError(f"{source}: channel '{missing[0]}' is missing")

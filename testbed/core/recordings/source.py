@@ -1,4 +1,4 @@
-"""Where samples come from: memory, memory maps, files, parts of a stream; and which count."""
+"""Sources of samples (memory, memory maps, files, streams), and selection of samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.columns import (
-    SIGNALS,
+    RECORDED_SIGNALS,
     Segments,
     check_samples,
     check_sampling_time,
@@ -27,44 +27,44 @@ from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording
 
 
-def alike(parts: Iterable[Recording]) -> Iterator[Recording]:
-    """The parts of one recording, as long as they belong together.
+def check_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
+    """Yield the parts of a recording, checking that all have the same channels.
 
     Raises:
-        RecordingError: There are none, or their channels differ.
+        RecordingError: There are no parts, or their channels differ.
     """
     layout: tuple[object, ...] = ()
     for part in parts:
-        here = (part.names, part.signals, part.truth is None)
-        if layout and here != layout:
+        part_layout = (part.names, part.signals, part.truth is None)
+        if layout and part_layout != layout:
             raise RecordingError("the parts of the recording have different channels")
-        layout = here
+        layout = part_layout
         yield part
     if not layout:
         raise RecordingError("the recording has no parts")
 
 
 class DerivedSource:
-    """Header that sources share which are not recordings in memory.
+    """Base class of sources other than recordings in memory, with the recording's header.
 
     Attributes:
         names: Joint names.
         samples: Number of samples.
-        rate: Samples a second [Hz].
-        tare: As `Recording.tare`.
-        metadata: As `Recording.metadata`.
-        signals: As `Recording.signals`.
-        senses_kinematics: Whether velocities and accelerations were sensed, both.
-        segments: As `Recording.segments`.
+        rate: Sampling rate [Hz].
+        tare: Tare, as in `Recording.tare`.
+        metadata: Metadata, as in `Recording.metadata`.
+        signals: Signals, as in `Recording.signals`.
+        senses_kinematics: True if both velocities and accelerations were sensed.
+        segments: Segments, as in `Recording.segments`.
     """
 
     def __init__(self, header: Source, samples: int, rate: float) -> None:
         """Copy the header of a recording.
 
         Args:
-            header: Any part of the recording, or another form of it.
+            header: Any part of the recording, or another source of it.
             samples: Number of samples.
-            rate: Samples a second [Hz].
+            rate: Sampling rate [Hz].
         """
         self.names, self.tare, self.metadata = (
             header.names,
@@ -77,20 +77,22 @@ class DerivedSource:
 
 
 class StoredRecording(DerivedSource):
-    """A recording that stays in its file; parts are read as they are asked for."""
+    """Recording in a Parquet file, read part by part on demand."""
 
     def __init__(self, path: str | Path) -> None:
-        """Open a file; reads its ends only, and all times where there are gaps.
+        """Open a file; read its first and last samples, and all times if there are gaps.
 
         Raises:
-            RecordingError: The file is missing or damaged, a channel is missing, or its times
-                are no times of samples.
+            RecordingError: The file is missing or damaged, a channel is missing, or the sampling
+                time is invalid.
         """
         from testbed.core.recordings.formats.parquet import open_table
 
         self._path = Path(path)
         self._table = open_table(self._path)
-        self._wanted = [c for c in self._table.columns if signal_of(c) in SIGNALS]
+        self._columns = [
+            c for c in self._table.columns if signal_of(c) in RECORDED_SIGNALS
+        ]
         samples = self._table.samples
         check_samples(samples, str(path))
         start = self.part(0, 1)
@@ -101,25 +103,27 @@ class StoredRecording(DerivedSource):
         steps = self.segments[0][1] - 1
         last = self._table.read(["time"], steps, steps + 1)["time"]
         length = float(last[0] - start.time[0])
-        if 0 < length < math.inf:  # else the part says so in which it happens
+        if 0 < length < math.inf:  # else reading the part raises an error
             check_sampling_time(length / steps, str(path))
             self.rate = steps / length
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1; cheap where parts are asked for in their order.
+        """Samples `first` to `last - 1` of the file; fastest for consecutive parts.
 
         Raises:
-            RecordingError: The file is damaged there, or a value is no measurement.
+            RecordingError: These rows of the file are damaged, or a value is not valid.
         """
-        columns = self._table.read(self._wanted, first, last)
-        found = Recording.from_columns(columns, self._table.metadata, str(self._path))
+        columns = self._table.read(self._columns, first, last)
+        recording = Recording.from_columns(
+            columns, self._table.metadata, str(self._path)
+        )
         check_values(columns, str(self._path), first)
-        return found
+        return recording
 
 
 @runtime_checkable
 class Source(Protocol):
-    """Samples that can be had part by part: a `Recording`, or one that stays in its file."""
+    """Protocol of sources of samples that are read part by part, such as a `Recording`."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -131,46 +135,46 @@ class Source(Protocol):
 
     @property
     def rate(self) -> float:
-        """Samples a second [Hz]."""
+        """Sampling rate [Hz]."""
 
     @property
     def tare(self) -> Array | None:
-        """As `Recording.tare`."""
+        """Tare, as in `Recording.tare`."""
 
     @property
     def metadata(self) -> Metadata:
-        """As `Recording.metadata`."""
+        """Metadata, as in `Recording.metadata`."""
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """As `Recording.signals`."""
+        """Signals, as in `Recording.signals`."""
 
     @property
     def senses_kinematics(self) -> bool:
-        """Whether velocities and accelerations were sensed, both."""
+        """True if both velocities and accelerations were sensed."""
 
     @property
     def segments(self) -> Segments:
-        """As `Recording.segments`."""
+        """Segments, as in `Recording.segments`."""
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1, without the truth."""
+        """Samples `first` to `last - 1`, without the true signals."""
 
 
 RecordingLike: TypeAlias = Recording | Source | str | Path | Iterable[Recording]
-"""A recording in memory, or a Parquet file's path, or parts in the order of time."""
+"""Recording in memory, path of a Parquet file, or parts of a recording in order of time."""
 
 
-class Stretch(DerivedSource):
-    """A stretch of a source, which is a source."""
+class SourceRange(DerivedSource):
+    """Range of consecutive samples of a source."""
 
     def __init__(self, whole: Source, first: int, last: int) -> None:
-        """Some of the samples.
+        """Select samples `first` to `last - 1` of a source.
 
         Args:
-            whole: Of which.
-            first: The first.
-            last: The one after the last.
+            whole: Source of the samples.
+            first: Index of the first sample.
+            last: Index after the last sample.
         """
         super().__init__(whole, last - first, whole.rate)
         self._whole, self._first = whole, first
@@ -180,23 +184,23 @@ class Stretch(DerivedSource):
         )
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1 of the stretch, without the truth."""
+        """Samples `first` to `last - 1` of this range, without the true signals."""
         return self._whole.part(self._first + first, self._first + last)
 
 
-def by_segments(source: Source) -> list[Source]:
-    """The segments of a source, each a source; itself where it has no gap.
+def segment_sources(source: Source) -> list[Source]:
+    """Segments of a recording between its gaps, as a list of sources.
 
     Args:
-        source: The recording.
+        source: The recording; if it has no gaps, it is the only element of the list.
     """
     if len(source.segments) == 1:
         return [source]
-    return [Stretch(source, first, last) for first, last in source.segments]
+    return [SourceRange(source, first, last) for first, last in source.segments]
 
 
 def longest_segment(source: Source) -> tuple[int, int]:
-    """First sample of the longest segment, and the one after its last.
+    """Index of the longest segment's first sample, and index after its last sample.
 
     Args:
         source: The recording.
@@ -204,69 +208,72 @@ def longest_segment(source: Source) -> tuple[int, int]:
     return max(source.segments, key=np.ptp)
 
 
-def open_source(what: RecordingLike) -> Source:
-    """Samples from memory, from a file that stays where it is, or from parts in turn.
+def open_source(recording: RecordingLike) -> Source:
+    """Open a source of samples: a recording in memory, a file, or parts.
+
+    A file is read on demand; parts are gathered in temporary files.
 
     Args:
-        what: A recording, the path of one, or parts of one in the order of time.
+        recording: Recording, path of a recording, or parts of a recording in order of time.
 
     Raises:
-        RecordingError: The file is no recording, or the parts do not belong together.
+        RecordingError: The file is no recording, or the parts have different channels.
     """
-    if isinstance(what, str | Path):
-        return StoredRecording(what)
-    # asked as a Source, it is asked for its rate
-    if isinstance(what, Recording | Source):
-        return what
-    return gathered(what)
+    if isinstance(recording, str | Path):
+        return StoredRecording(recording)
+    # isinstance with the protocol Source evaluates `rate`: test for Recording first
+    if isinstance(recording, Recording | Source):
+        return recording
+    return gather_parts(recording)
 
 
-def gathered(parts: Iterable[Recording]) -> Recording:
-    """One recording of parts that need not fit into memory together.
+def gather_parts(parts: Iterable[Recording]) -> Recording:
+    """Gather parts into one recording, memory-mapped from unnamed temporary files.
 
-    It is kept in unnamed temporary files, which go when it goes.
+    The parts need not fit into memory together. The files are deleted when the recording is.
 
     Args:
-        parts: In the order of time, of one robot.
+        parts: Parts of a recording in order of time.
 
     Raises:
-        RecordingError: There are none, or they do not belong together.
+        RecordingError: There are no parts, or their channels differ.
     """
     with ExitStack() as open_files:
         files: dict[str, IO[bytes]] = {}
-        for part in alike(parts):
-            for name in SIGNALS:
+        for part in check_parts(parts):
+            for name in RECORDED_SIGNALS:
                 values = getattr(part, name)
                 if values is None:
                     continue
                 if name not in files:
                     files[name] = open_files.enter_context(tempfile.TemporaryFile())
                 files[name].write(np.ascontiguousarray(values).tobytes())
-        mapped: dict[str, Any] = {
-            name: _mapped(file, part, name) for name, file in files.items()
+        signals: dict[str, Any] = {
+            name: _memory_map(file, part, name) for name, file in files.items()
         }
-    return replace(part, truth=None, **mapped)
+    return replace(part, truth=None, **signals)
 
 
-def _mapped(file: IO[bytes], like: Recording, name: str) -> Array:
+def _memory_map(file: IO[bytes], recording: Recording, name: str) -> Array:
+    """Memory map of a file of float64 values, with the columns of a recording's signal."""
     file.flush()
-    shape = (-1, *getattr(like, name).shape[1:])
+    shape = (-1, *getattr(recording, name).shape[1:])
     if not file.tell():  # nothing can be mapped: not a sample in all parts
         return np.zeros((0, *shape[1:]))
-    found: Array = np.memmap(file, dtype=np.float64, mode="r").reshape(shape)
-    return found
+    values: Array = np.memmap(file, dtype=np.float64, mode="r").reshape(shape)
+    return values
 
 
-def counted(source: Source, span: Sequence[float] | None = None) -> Source:
-    """The samples of a recording that count.
+def evaluated_samples(source: Source, span: Sequence[float] | None = None) -> Source:
+    """Samples of a recording within the time span that is evaluated.
 
     Args:
-        source: One recording.
-        span: From the first to before the second time [s]; default what the recording says, as one
-            from rest to rest does, else all.
+        source: A single recording.
+        span: Time of the first sample and time after the last sample [s]; by default the span in
+            the metadata (such as the motion between two rest periods) or, without it, all samples.
 
     Raises:
-        RecordingError: None of its samples is in that time.
+        RecordingError: The span contains no samples.
     """
     span = span or source.metadata.counted
     if span is None or source.samples < 2:
@@ -282,4 +289,6 @@ def counted(source: Source, span: Sequence[float] | None = None) -> Source:
             f"the recording goes from {begin:g} to {end:g} s: it has nothing from {span[0]:g} to "
             f"{span[1]:g} s, which is to be counted (identification.span)"
         )
-    return source if last - first == source.samples else Stretch(source, first, last)
+    return (
+        source if last - first == source.samples else SourceRange(source, first, last)
+    )

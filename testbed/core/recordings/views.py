@@ -1,4 +1,4 @@
-"""Recordings seen otherwise: without coupled gears, from a base whose motion was measured."""
+"""Transformed recordings: base joints, parts between force sensors, gravity torques, gears."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from testbed.core.base.arrays import Array, apply
+from testbed.core.base.arrays import Array, multiply_vectors
 from testbed.core.base.errors import RecordingError
 from testbed.core.dynamics.newton_euler import (
     Motion,
@@ -20,13 +20,15 @@ from testbed.core.dynamics.newton_euler import (
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source
-from testbed.core.robot.free_base import COORDINATES, coordinates
-from testbed.core.robot.shafts import Shafts, with_shafts
+from testbed.core.robot.free_base import BASE_COORDINATES, base_coordinates
+from testbed.core.robot.shafts import ShaftRatios, with_shafts
 from testbed.core.robot.tree import Tree
 
 
 def is_imported(source: Source) -> bool:
-    """Whether a recording was made by a mapping file: real drives have offsets and couplings.
+    """True if a recording was imported with a mapping file.
+
+    An imported recording comes from a real robot, whose drives have offsets and couplings.
 
     Args:
         source: The recording.
@@ -34,8 +36,8 @@ def is_imported(source: Source) -> bool:
     return source.metadata.mapping is not None
 
 
-def is_of_motors(source: Source) -> bool:
-    """Whether some joint's torque was made of its motor's current, voltage or torque.
+def has_motor_torques(source: Source) -> bool:
+    """True if a joint torque was computed from a motor current, voltage or torque.
 
     Args:
         source: The recording.
@@ -43,8 +45,8 @@ def is_of_motors(source: Source) -> bool:
     return any(kind != "torque" for kind in source.metadata.effort.values())
 
 
-def pedestal_said(source: Source) -> bool:
-    """Whether a mapping says what of a plate's reading is the pedestal's, by its key.
+def states_pedestal_share(source: Source) -> bool:
+    """True if the mapping file states the pedestal's share of the plate's wrench.
 
     Args:
         source: The recording.
@@ -53,25 +55,28 @@ def pedestal_said(source: Source) -> bool:
     return isinstance(table, Mapping) and "pedestal" in table
 
 
-def with_gear(tree: Tree, source: Source) -> Tree:
-    """The robot with the shafts that a recording's gear couples, unless it has some already.
+def with_gear_shafts(tree: Tree, source: Source) -> Tree:
+    """Robot with the shafts of a recording's gear matrix (`coupled_shafts`).
+
+    The robot is returned unchanged if it already has shafts, or lacks a joint of the gear matrix.
 
     Args:
         tree: The robot.
         source: The recording.
     """
-    found = {} if tree.shafts else coupled_shafts(source.metadata.mapping or {})
-    known = all(joint in tree.names for turns in found.values() for joint in turns)
-    return with_shafts(tree, found) if found and known else tree
+    shafts = {} if tree.shafts else coupled_shafts(source.metadata.mapping or {})
+    known = all(joint in tree.names for ratios in shafts.values() for joint in ratios)
+    return with_shafts(tree, shafts) if shafts and known else tree
 
 
-def coupled_shafts(mapping: Mapping[str, Any]) -> Shafts:
-    """Shafts of the gear's rows with several joints, called JOINT.motor; {} where there are none.
+def coupled_shafts(mapping: Mapping[str, Any]) -> ShaftRatios:
+    """Shafts from rows of the gear matrix that couple several joints, named JOINT.motor.
 
-    The shaft's own joint counts as one, or else the joint with which it turns most.
+    A row is divided by the coefficient of the joint JOINT or, if this is zero, by the largest
+    coefficient. The result is empty if there is no valid gear matrix.
 
     Args:
-        mapping: Of a recording; nothing in it is trusted.
+        mapping: Mapping of a recording, not yet checked.
     """
     try:
         joints = [str(joint) for joint in mapping["joints"]]
@@ -80,29 +85,30 @@ def coupled_shafts(mapping: Mapping[str, Any]) -> Shafts:
         return {}
     if rows.shape != (len(joints), len(joints)) or not np.isfinite(rows).all():
         return {}
-    found = {}
+    shafts = {}
     for k, (name, row) in enumerate(zip(joints, rows, strict=True)):
         if np.count_nonzero(row) > 1:
-            turns = row / (row[k] or row[np.argmax(np.abs(row))])
-            coupled = np.flatnonzero(turns)
-            found[f"{name}.motor"] = {joints[j]: float(turns[j]) for j in coupled}
-    return found
+            ratios = row / (row[k] or row[np.argmax(np.abs(row))])
+            coupled = np.flatnonzero(ratios)
+            shafts[f"{name}.motor"] = {joints[j]: float(ratios[j]) for j in coupled}
+    return shafts
 
 
-NAMES = tuple(name for name, _, _ in COORDINATES)
+BASE_JOINTS = tuple(name for name, _, _ in BASE_COORDINATES)
+"""Names of the six joints of a free base."""
 
 
 class TransformedSource(DerivedSource):
-    """A source whose parts are transformed one by one: other joints, no torques, no truth."""
+    """Source whose parts are transformed one by one on reading."""
 
     def __init__(
         self, source: Source, transform: Callable[[Recording], Recording]
     ) -> None:
-        """The same samples.
+        """Wrap a source of the same samples.
 
         Args:
             source: The recording.
-            transform: What is made of each part.
+            transform: Transformation of each part.
         """
         header = transform(source.part(0, min(1, source.samples)))
         super().__init__(header, source.samples, source.rate)
@@ -113,32 +119,35 @@ class TransformedSource(DerivedSource):
         )
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1, without the truth.
+        """Transformed samples `first` to `last - 1`, without the true signals.
 
         Raises:
-            RecordingError: They cannot be seen so.
+            RecordingError: The part cannot be transformed.
         """
         return self._transform(self._source.part(first, last))
 
 
 def with_base_joints(recording: Recording) -> Recording:
-    """A recording whose base is six joints.
+    """Replace the measured base poses of a recording by positions of six joints.
+
+    The joints x, y, z, yaw, pitch, roll [m, rad] come first. Torques, velocities, accelerations,
+    temperatures, true signals and the geometry in the metadata are removed.
 
     Args:
-        recording: With a base.
+        recording: Recording with base poses.
 
     Raises:
-        RecordingError: It has none, or a pose is none.
+        RecordingError: The recording has no base poses, or a pose is invalid.
     """
     if recording.base is None:
         raise RecordingError(
             "the recording has no base/x ... base/qz, which a robot with robot.base = "
             '"measured" needs'
         )
-    position = np.hstack([coordinates(recording.base), recording.position])
+    position = np.hstack([base_coordinates(recording.base), recording.position])
     return replace(
         recording,
-        names=(*NAMES, *recording.names),
+        names=(*BASE_JOINTS, *recording.names),
         position=position,
         base=None,
         torque=None,
@@ -150,29 +159,34 @@ def with_base_joints(recording: Recording) -> Recording:
     )
 
 
-def of_joints(recording: Recording, names: Sequence[str]) -> Recording:
-    """A recording of some of its joints, which is no longer checked as a whole robot's.
+def joint_recording(recording: Recording, names: Sequence[str]) -> Recording:
+    """Recording of some joints, without the joint geometry in the metadata.
+
+    Because the geometry is removed, the recording is not compared with the whole robot.
 
     Args:
-        recording: With more.
-        names: Of those that are kept, in the order of their columns.
+        recording: Recording with these and other joints.
+        names: Names of the joints, in the order of the new columns.
     """
     metadata = replace(recording.metadata, geometry={})
     return replace(recording.of_joints(names), metadata=metadata)
 
 
-def of_segment(recording: Recording, tree: Tree) -> Recording:
-    """A recording of what lies between force sensors: the wrench of the bodies there alone.
+def segment_recording(recording: Recording, tree: Tree) -> Recording:
+    """Recording of a robot's part between force sensors, with the wrench on this part.
 
-    That of the first sensor, less those of the next, moved to its place; torques are of more.
+    The wrench is that of the first sensor, minus the wrenches of the next sensors, transformed to
+    the frame of the first sensor. Torques are removed, because they also move other bodies. The
+    tare is kept if it belongs to the plate or to the only sensor; otherwise it is replaced by the
+    model's static wrench of the pedestal.
 
     Args:
-        recording: With the sensors' wrenches; its own wrench is the plate's, or that of the only
-            sensor.
-        tree: What lies between them, and the joints before.
+        recording: Recording with the wrenches of the sensors; `wrench` is that of the plate or of
+            the only sensor.
+        tree: Part of the robot between the sensors, with the joints before this part.
 
     Raises:
-        RecordingError: It lacks one of the joints, or of the sensors.
+        RecordingError: The recording lacks a joint or a sensor.
     """
     missing = [name for name in tree.names if name not in recording.names]
     if missing:
@@ -180,21 +194,35 @@ def of_segment(recording: Recording, tree: Tree) -> Recording:
             f"the recording has no joint '{missing[0]}', which moves what the force sensor feels; "
             f"it has {', '.join(recording.names)}"
         )
-    found = of_joints(recording, tree.names)
-    own, gravity, truth = _segment_of(tree)[0], recording.metadata.gravity, found.truth
-    whole = tree.sensor is None and all(cut.body >= 0 for cut in tree.cuts)
-    tare = recording.tare if whole or own not in recording.sensor_names else None
+    selected = joint_recording(recording, tree.names)
+    sensor, gravity, truth = (
+        _segment_sensors(tree)[0],
+        recording.metadata.gravity,
+        selected.truth,
+    )
+    includes_pedestal = tree.sensor is None and all(cut.body >= 0 for cut in tree.cuts)
+    tare = (
+        recording.tare
+        if includes_pedestal or sensor not in recording.sensor_names
+        else None
+    )
     if recording.tare is not None and tare is None:
         tare = pedestal_wrench(tree, gravity)
     if truth is not None:
-        true = _between(
-            tree, truth.position, _wrenches(recording, truth.wrench, truth.sensors)
+        true_wrench = _segment_wrench(
+            tree,
+            truth.position,
+            _wrenches_by_sensor(recording, truth.wrench, truth.sensors),
         )
-        truth = None if true is None else replace(truth, wrench=true, sensors=None)
-    shown = _wrenches(recording, recording.wrench, recording.sensors)
+        truth = (
+            None
+            if true_wrench is None
+            else replace(truth, wrench=true_wrench, sensors=None)
+        )
+    wrenches = _wrenches_by_sensor(recording, recording.wrench, recording.sensors)
     return replace(
-        found,
-        wrench=_between(tree, found.position, shown),
+        selected,
+        wrench=_segment_wrench(tree, selected.position, wrenches),
         tare=tare,
         truth=truth,
         torque=None,
@@ -202,121 +230,149 @@ def of_segment(recording: Recording, tree: Tree) -> Recording:
         sensors=None,
         sensor_names=(),
         metadata=replace(
-            found.metadata,
-            mapping=_mapping_of(found.metadata.mapping, own),
-            segment=_segment_of(tree),
+            selected.metadata,
+            mapping=_sensor_mapping(selected.metadata.mapping, sensor),
+            segment=_segment_sensors(tree),
         ),
     )
 
 
-def _mapping_of(
+def _sensor_mapping(
     mapping: Mapping[str, Any] | None, sensor: str
 ) -> Mapping[str, Any] | None:
-    """Mapping with one sensor's wrench alone, if it names the sensor."""
-    own = (mapping or {}).get("sensors", {}).get(sensor)
-    if mapping is None or own is None:
+    """Mapping with the columns of a single sensor, without the columns of plates.
+
+    The mapping is returned unchanged if it lacks the sensor.
+    """
+    columns = (mapping or {}).get("sensors", {}).get(sensor)
+    if mapping is None or columns is None:
         return mapping
-    kept = {k: v for k, v in mapping.items() if k not in ("wrench", "plates")}
-    return {**kept, "sensors": {sensor: own}}
+    other_keys = {k: v for k, v in mapping.items() if k not in ("wrench", "plates")}
+    return {**other_keys, "sensors": {sensor: columns}}
 
 
-def _segment_of(tree: Tree) -> tuple[str, ...]:
-    """Name of the sensor, "" for the plate, and those of the next."""
+def _segment_sensors(tree: Tree) -> tuple[str, ...]:
+    """Names of a part's force sensor ("" for the plate) and of the next sensors."""
     return (tree.sensor.name if tree.sensor else "", *(cut.name for cut in tree.cuts))
 
 
-def _wrenches(
+def _wrenches_by_sensor(
     recording: Recording, plate: Array | None, sensors: Array | None
 ) -> dict[str, Array]:
-    """By sensor, the plate's called ""."""
-    found = {} if plate is None else {"": plate}
+    """Wrenches keyed by sensor name ("" for the plate), (M, 6) each."""
+    wrenches = {} if plate is None else {"": plate}
     if sensors is not None:
         names = recording.sensor_names
-        found |= {name: sensors[:, 6 * k : 6 * k + 6] for k, name in enumerate(names)}
-    return found
+        wrenches |= {
+            name: sensors[:, 6 * k : 6 * k + 6] for k, name in enumerate(names)
+        }
+    return wrenches
 
 
-def _between(
+def _segment_wrench(
     tree: Tree, position: Array, wrenches: Mapping[str, Array]
 ) -> Array | None:
-    """The first sensor's wrench less those of the next, (M, 6); None where it has none."""
-    first, *following = _segment_of(tree)
-    lacking = [name for name in following if name not in wrenches]
-    if lacking:
+    """Wrench of the first sensor minus the next sensors' wrenches, (M, 6).
+
+    The result is in the frame of the first sensor; it is None if the first sensor has no wrench. If
+    a recording has a single wrench, it is taken as the wrench of the first sensor.
+
+    Args:
+        tree: Part of the robot between the sensors.
+        position: Joint positions, (M, n) [rad or m].
+        wrenches: Wrenches keyed by sensor name, (M, 6) each [N, N m].
+
+    Raises:
+        RecordingError: One of the next sensors has no wrench.
+    """
+    sensor, *next_sensors = _segment_sensors(tree)
+    missing = [name for name in next_sensors if name not in wrenches]
+    if missing:
         raise RecordingError(
-            f"the recording has no wrench of the force sensor '{lacking[0]}'"
+            f"the recording has no wrench of the force sensor '{missing[0]}'"
         )
-    # a recording's only wrench is it
-    alone = wrenches.get("") if len(wrenches) == 1 else None
-    felt = wrenches.get(first, alone)
-    if felt is None or not following:
-        return felt
-    moved = wrench_transforms(tree, position)
-    beyond = np.sum([apply(moved[name], wrenches[name]) for name in following], axis=0)
-    return np.asarray(felt - beyond)
+    # the only wrench of a recording is of the first sensor
+    only_wrench = wrenches.get("") if len(wrenches) == 1 else None
+    wrench = wrenches.get(sensor, only_wrench)
+    if wrench is None or not next_sensors:
+        return wrench
+    transforms = wrench_transforms(tree, position)
+    subtracted = np.sum(
+        [multiply_vectors(transforms[name], wrenches[name]) for name in next_sensors],
+        axis=0,
+    )
+    return np.asarray(wrench - subtracted)
 
 
 @overload
-def on_its_base(source: Recording, tree: Tree) -> Recording: ...
+def adapt_to_robot(source: Recording, tree: Tree) -> Recording: ...
 
 
 @overload
-def on_its_base(source: Source, tree: Tree) -> Source: ...
+def adapt_to_robot(source: Source, tree: Tree) -> Source: ...
 
 
-def on_its_base(source: Source, tree: Tree) -> Source:
-    """A source as a robot's: on a base that joints move, or whose pose was measured.
+def adapt_to_robot(source: Source, tree: Tree) -> Source:
+    """Transform a recording to match the base, force sensors and gravity of a robot.
 
-    Torques from which the model file's gravity was subtracted are those of the drives again.
+    For a free base, measured base poses become joint positions. For a part of a robot between force
+    sensors, the wrench becomes the wrench on this part. If gravity torques were subtracted (key
+    torque.gravity = "removed" of the mapping file), they are added again. Otherwise, the recording
+    is returned unchanged.
 
     Args:
         source: The recording.
         tree: The robot.
 
     Raises:
-        RecordingError: The recording lacks a joint of the robot, the base's pose, or a sensor.
+        RecordingError: The recording lacks a joint of the robot, the base poses, or a sensor.
     """
-    if tree.floating and NAMES[0] not in source.names:
-        source = transformed(source, with_base_joints)
-    if tree.is_part and source.metadata.segment != _segment_of(tree):
-        source = transformed(source, partial(of_segment, tree=tree))
+    if tree.floating and BASE_JOINTS[0] not in source.names:
+        source = transform_source(source, with_base_joints)
+    if tree.is_part and source.metadata.segment != _segment_sensors(tree):
+        source = transform_source(source, partial(segment_recording, tree=tree))
     if "torque" in source.signals and _lacks_gravity(source.metadata):
-        source = transformed(source, partial(with_gravity_torques, tree=tree))
+        source = transform_source(source, partial(with_gravity_torques, tree=tree))
     return source
 
 
 def _lacks_gravity(metadata: Metadata) -> bool:
-    """Whether a mapping says that the model file's gravity was subtracted from torques."""
+    """True if gravity torques were subtracted from the torques, according to the mapping file."""
     torque = (metadata.mapping or {}).get("torque")
     return isinstance(torque, Mapping) and torque.get("gravity") == "removed"
 
 
 def with_gravity_torques(recording: Recording, tree: Tree) -> Recording:
-    """A recording of torques to which those of the model file's gravity are added.
+    """Add the gravity torques of the model file to the torques of a recording.
+
+    The true signals are removed, and the mapping no longer states that gravity was removed.
 
     Args:
-        recording: With torques that its driver had compensated.
-        tree: The robot as the driver knows it.
+        recording: Recording with gravity-compensated torques; its gravity is used if known,
+            otherwise that of the model.
+        tree: Robot with the inertias that were used for the compensation.
     """
-    part = recording.ordered(tree)
-    rest = Motion.at_rest(part.position)
-    weight = joint_forces(tree, rest, part.metadata.gravity)
-    mapping = dict(part.metadata.mapping or {})
+    ordered = recording.ordered(tree)
+    motion = Motion.at_rest(ordered.position)
+    gravity_torques = joint_forces(tree, motion, ordered.metadata.gravity)
+    mapping = dict(ordered.metadata.mapping or {})
     mapping["torque"] = {k: v for k, v in mapping["torque"].items() if k != "gravity"}
     return replace(
-        part,
-        torque=part.measured("torque") + weight,
+        ordered,
+        torque=ordered.measured("torque") + gravity_torques,
         truth=None,
-        metadata=replace(part.metadata, mapping=mapping),
+        metadata=replace(ordered.metadata, mapping=mapping),
     )
 
 
-def transformed(source: Source, transform: Callable[[Recording], Recording]) -> Source:
-    """A source of transformed recordings: at once of one in memory, else part by part.
+def transform_source(
+    source: Source, transform: Callable[[Recording], Recording]
+) -> Source:
+    """Transform a source, at once if it is in memory, otherwise part by part.
 
     Args:
         source: The recording.
-        transform: What is made of it.
+        transform: Transformation of a recording.
     """
     if isinstance(source, Recording):
         return transform(source)

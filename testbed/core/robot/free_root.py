@@ -1,4 +1,4 @@
-"""Robots whose root is free to move."""
+"""Trees with a free base in place of a root welded to the bedplate."""
 
 from __future__ import annotations
 
@@ -7,34 +7,46 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.core.base.errors import ModelError
-from testbed.core.robot.free_base import COORDINATES, FREE
-from testbed.core.robot.inertia import NOTHING
+from testbed.core.robot.free_base import BASE_COORDINATES, N_BASE_COORDINATES
+from testbed.core.robot.inertia import ZERO_INERTIA
 from testbed.core.robot.tree import Joint, Tree
 
 
-def on_free_base(tree: Tree) -> Tree:
-    """The robot with its root free: the pedestal is the base, and its frame the bedplate's.
+def with_free_base(tree: Tree) -> Tree:
+    """Tree with a free base: six base coordinates precede the joints.
+
+    The pedestal becomes the body "base", which the last base coordinate moves; the frame of this
+    body is the bedplate frame of the given tree. The first five bodies are massless.
 
     Args:
-        tree: The robot with its root welded.
+        tree: Robot with the root welded to the bedplate.
 
     Raises:
-        ModelError: A joint has the name of a coordinate of the base.
+        ModelError: A joint has the name of a base coordinate.
     """
-    names = [name for name, _, _ in COORDINATES]
-    clash = [name for name in tree.names if name in names]
-    if clash:
-        raise ModelError(f"joint '{clash[0]}' has the name of a coordinate of the base")
-    joints = [
+    names = [name for name, _, _ in BASE_COORDINATES]
+    conflicts = [name for name in tree.names if name in names]
+    if conflicts:
+        raise ModelError(
+            f"joint '{conflicts[0]}' has the name of a coordinate of the base"
+        )
+    base_joints = [
         Joint(name, name, kind, k - 1, np.eye(3)[axis], np.zeros(3), np.eye(3))
-        for k, (name, kind, axis) in enumerate(COORDINATES)
+        for k, (name, kind, axis) in enumerate(BASE_COORDINATES)
     ]
-    moved = [replace(joint, parent=joint.parent + FREE) for joint in tree.joints]
+    renumbered = [
+        replace(joint, parent=joint.parent + N_BASE_COORDINATES)
+        for joint in tree.joints
+    ]
     return replace(
         tree,
-        joints=(*joints[:-1], replace(joints[-1], body="base"), *moved),
-        inertias=(*(NOTHING,) * (FREE - 1), tree.pedestal, *tree.inertias),
-        pedestal=NOTHING,
+        joints=(*base_joints[:-1], replace(base_joints[-1], body="base"), *renumbered),
+        inertias=(
+            *(ZERO_INERTIA,) * (N_BASE_COORDINATES - 1),
+            tree.pedestal,
+            *tree.inertias,
+        ),
+        pedestal=ZERO_INERTIA,
         floating=True,
-        lead=FREE,
+        lead=N_BASE_COORDINATES,
     )

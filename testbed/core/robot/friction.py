@@ -1,12 +1,11 @@
-"""Joint laws: what a joint's torque holds besides the forces that move the bodies.
+"""Joint torque laws in addition to rigid-body dynamics: friction, rotor inertia, torque offsets.
 
-A law is a column, a function of the joint's velocity and acceleration, to be multiplied by a
-coefficient: friction, a rotor's inertia, an offset of the measured torque. This is the only
-place where they are written down: the kernel compiles these columns; simulation, prediction,
-units, scores and the command line read them here.
+A law is a regressor column, a function of joint velocity and acceleration, to be multiplied by
+a coefficient. Laws are defined here only: the kernel compiles these columns; simulation,
+prediction, units, scores and the command line use them.
 
-To add a law, write a module with a `JointLaw` in `testbed/core/robot/laws`. A law that is only
-tried out need not be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
+To add a law, write a module with a `JointLaw` in `testbed/core/robot/laws`. A law under trial need
+not be in this folder: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
 """
 
 from __future__ import annotations
@@ -26,95 +25,118 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnknownName
 from testbed.core.robot import laws
 from testbed.core.robot.joint_law import JointLaw
-from testbed.core.robot.shafts import places, shares
+from testbed.core.robot.shafts import joint_and_shaft_names, transmission_matrix
 from testbed.core.robot.tree import Tree
 
 
-def _sign(qd: Any, qdd: Any) -> Any:
+def _sign_column(qd: Any, qdd: Any) -> Any:
+    """Regressor column of Coulomb friction: sign of the velocity."""
     return np.sign(qd)
 
 
-def _velocity(qd: Any, qdd: Any) -> Any:
+def _velocity_column(qd: Any, qdd: Any) -> Any:
+    """Regressor column of viscous friction: velocity."""
     return qd
 
 
-def _one(qd: Any, qdd: Any) -> Any:
+def _unit_column(qd: Any, qdd: Any) -> Any:
+    """Regressor column of a constant torque: unity."""
     return 1.0
 
 
-COULOMB = JointLaw("coulomb", "N m", "N", _sign, "coulomb", resists=True, jumps=True)
-"""Dry friction: against the motion, however fast."""
+COULOMB = JointLaw(
+    "coulomb", "N m", "N", _sign_column, "coulomb", dissipative=True, discontinuous=True
+)
+"""Coulomb friction: constant magnitude, opposed to the motion."""
 
-VISCOUS = JointLaw("viscous", "N m s/rad", "N s/m", _velocity, "viscous", resists=True)
-"""Friction in proportion to the velocity."""
+VISCOUS = JointLaw(
+    "viscous", "N m s/rad", "N s/m", _velocity_column, "viscous", dissipative=True
+)
+"""Viscous friction: proportional to the velocity."""
 
-OFFSET = JointLaw("offset", "N m", "N", _one)
-"""What the drive reports too much: a constant."""
+OFFSET = JointLaw("offset", "N m", "N", _unit_column)
+"""Constant error of the torque reported by the drive."""
 
 ROTOR = JointLaw("rotor", "kg m^2", "kg", lambda qd, qdd: qdd, "rotor_inertia")
-"""Inertia of the drive's rotor, reflected to the joint."""
+"""Rotor inertia of the drive, reflected to the joint."""
 
-FORWARD = JointLaw("coulomb+offset", "N m", "N", _one)
-"""Dry friction and offset of a joint that only moves forward: all that shows is their sum."""
+FORWARD_CONSTANT = JointLaw("coulomb+offset", "N m", "N", _unit_column)
+"""Sum of Coulomb friction and offset, which are inseparable for a joint that only moves forward."""
 
-BACKWARD = JointLaw("offset-coulomb", "N m", "N", _one)
-"""The same of a joint that only moves backward."""
+BACKWARD_CONSTANT = JointLaw("offset-coulomb", "N m", "N", _unit_column)
+"""Difference of offset and Coulomb friction, inseparable for a joint that only moves backward."""
 
-CONSTANTS = (OFFSET, FORWARD, BACKWARD)
-"""Laws whose column is one."""
+CONSTANT_LAWS = (OFFSET, FORWARD_CONSTANT, BACKWARD_CONSTANT)
+"""Laws with a constant regressor column."""
 
-SLOPE = JointLaw("slope", "N m/s", "N/s", _one, by="time")
-"""Drift of the offset, as of a drive that warms up; of this recording only."""
+OFFSET_DRIFT = JointLaw("slope", "N m/s", "N/s", _unit_column, by="time")
+"""Linear drift of the offset during one recording, for example while a drive warms up."""
 
-ROOM = 25.0
-"""Temperature at which friction is what its laws without temperature say [degC]."""
+ROOM_TEMPERATURE = 25.0
+"""Reference temperature to which friction laws without temperature dependence refer [degC]."""
 
 WARM_VISCOUS = JointLaw(
-    "warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature"
+    "warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity_column, by="temperature"
 )
-"""Change of viscous friction with the drive's temperature, from ROOM on."""
+"""Change of viscous friction in proportion to the drive temperature above ROOM_TEMPERATURE."""
 
-VARYING = (
-    SLOPE,
-    # change of dry friction with the drive's temperature
-    JointLaw("warm_coulomb", "N m/K", "N/K", _sign, jumps=True, by="temperature"),
+DRIFT_LAWS = (
+    OFFSET_DRIFT,
+    # change of Coulomb friction with the drive's temperature
+    JointLaw(
+        "warm_coulomb",
+        "N m/K",
+        "N/K",
+        _sign_column,
+        discontinuous=True,
+        by="temperature",
+    ),
     WARM_VISCOUS,
 )
-"""Laws that depend on more than the motion."""
+"""Laws that depend on time or temperature in addition to the motion."""
 
-BY_LOAD: Mapping[str, Callable[[Array, Array], Array]] = {
+LOAD_MULTIPLIERS: Mapping[str, Callable[[Array, Array], Array]] = {
     "load": lambda load, smooth: load * np.sign(smooth),
     "signed load": lambda load, smooth: load,
     "squared load": lambda load, smooth: load * smooth,
 }
-"""What multiplies laws of the load, the torque that moves the link [N m or N]: only where the
-plate's estimate says what it is. Functions of the load and of its mean over a short time: where
-encoders are noisy, abs(load) is not zero on average where the load is."""
+"""Multipliers of the columns of load-dependent laws, keyed by `JointLaw.by`.
 
-LOAD = JointLaw("load", "1", "1", _sign, jumps=True, by="load")
-"""Dry friction that grows with the load: the part of it that a gear loses."""
+The load is the torque that moves the link [N m or N]; only the force-plate estimate provides it.
+The arguments are the load and its short-time mean. The sign is taken from the short-time mean,
+because with noisy encoders the mean of abs(load) is not zero where the load is zero."""
 
-QUADRATIC_LOAD = JointLaw(
-    "quadratic_load", "1/(N m)", "1/N", _sign, jumps=True, by="squared load"
+LOAD_FRICTION = JointLaw("load", "1", "1", _sign_column, discontinuous=True, by="load")
+"""Coulomb friction proportional to the load: fraction of the load lost in the gear."""
+
+QUADRATIC_LOAD_FRICTION = JointLaw(
+    "quadratic_load",
+    "1/(N m)",
+    "1/N",
+    _sign_column,
+    discontinuous=True,
+    by="squared load",
 )
-"""Dry friction that grows with the square of the load."""
+"""Coulomb friction proportional to the square of the load."""
 
-LOADED = (
-    LOAD,
-    # viscous friction that grows with the load
-    JointLaw("viscous_load", "s/rad", "s/m", _velocity, by="load"),
-    # the same as far as a gear that drives has more of it than one that is driven back
+LOAD_LAWS = (
+    LOAD_FRICTION,
+    # viscous friction proportional to the load
+    JointLaw("viscous_load", "s/rad", "s/m", _velocity_column, by="load"),
+    # difference of this friction between a driving and a back-driven gear
     JointLaw(
         "driving_load", "s/rad", "s/m", lambda qd, qdd: np.abs(qd), by="signed load"
     ),
-    QUADRATIC_LOAD,
+    QUADRATIC_LOAD_FRICTION,
 )
-"""Laws of the load. Dry friction that differs between driving and being driven is not among them:
-its column, load - sign(v) abs(load), has nothing of its own beside the torque constant's."""
+"""Load-dependent friction laws.
+
+A difference of Coulomb friction between driving and back-driving is not included: its column,
+load - sign(v) abs(load), is collinear with the error of the torque constant."""
 
 
-def _further_laws() -> Iterator[JointLaw]:
-    """Laws of the modules in `testbed/core/robot/laws`, by the modules' names."""
+def _additional_laws() -> Iterator[JointLaw]:
+    """Yield the laws defined in modules of `testbed/core/robot/laws`, ordered by module name."""
     for module in sorted(
         iter_modules(laws.__path__, f"{laws.__name__}."), key=attrgetter("name")
     ):
@@ -122,140 +144,163 @@ def _further_laws() -> Iterator[JointLaw]:
         yield from (value for value in values if isinstance(value, JointLaw))
 
 
-FURTHER: tuple[JointLaw, ...] = tuple(_further_laws())
-"""Laws of `testbed/core/robot/laws`; a choice by held-out data is offered all of them."""
+ADDITIONAL_LAWS: tuple[JointLaw, ...] = tuple(_additional_laws())
+"""Laws of `testbed/core/robot/laws`; all are candidates for selection by cross-validation."""
 
-LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR, *FURTHER)
-"""All that can be asked for by name; beside them stribeck@SPEED and what one direction leaves."""
+JOINT_LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR, *ADDITIONAL_LAWS)
+"""Laws selectable by name, in addition to stribeck@SPEED and the laws of one-way joints."""
 
-STRIBECK = "stribeck"
-"""Kind of the laws that fade out above a speed."""
+STRIBECK_KIND = "stribeck"
+"""Kind of the Stribeck laws, without @SPEED."""
 
-SLOWEST, FASTEST = 1e-3, 10.0
-"""Speeds at which friction may fade out [rad/s or m/s]."""
+MIN_STRIBECK_SPEED, MAX_STRIBECK_SPEED = 1e-3, 10.0
+"""Range of accepted Stribeck speeds [rad/s or m/s]."""
 
 
 @lru_cache
-def stribeck(speed: float) -> JointLaw:
-    """Friction that dry friction has more at low speed: sign(v) exp(-(v / speed)^2).
+def stribeck_law(speed: float) -> JointLaw:
+    """Stribeck friction law: additional friction at low speed, sign(v) exp(-(v / speed)^2).
+
+    The name of the law is stribeck@SPEED.
 
     Args:
-        speed: At which it fades out [rad/s or m/s].
+        speed: Stribeck speed, at which the additional friction has fallen to 1/e [rad/s or m/s].
     """
 
     def column(qd: Any, qdd: Any) -> Any:
-        return np.sign(qd) * fading(qd, speed)
+        return np.sign(qd) * stribeck_decay(qd, speed)
 
-    return JointLaw(f"{STRIBECK}@{speed:g}", "N m", "N", column, jumps=True)
+    return JointLaw(
+        f"{STRIBECK_KIND}@{speed:g}", "N m", "N", column, discontinuous=True
+    )
 
 
-def fading(qd: Any, speed: Any) -> Any:
-    """Part of friction at rest that is left at a speed: exp(-(v / speed)^2).
+def stribeck_decay(qd: Any, speed: Any) -> Any:
+    """Stribeck decay factor exp(-(v / speed)^2): ratio of the additional friction to that at rest.
 
     Args:
         qd: Velocity v [rad/s or m/s].
-        speed: At which it fades out [rad/s or m/s].
+        speed: Stribeck speed [rad/s or m/s].
     """
     return np.exp(-((qd / speed) ** 2))
 
 
 @dataclass(frozen=True)
 class JointTerm:
-    """One law at one joint, or at a shaft that turns with several.
+    """Joint torque law applied at one joint or motor shaft.
 
     Attributes:
-        law: Which.
-        joint: Index of the joint; of a shaft, that among `places`.
+        law: Joint law.
+        joint: Index of the joint or shaft in `joint_and_shaft_names`: joints first.
     """
 
     law: JointLaw
     joint: int
 
     @property
-    def positive(self) -> bool:
-        """Whether it cannot be negative: friction takes energy, and rotors have inertia."""
-        return self.law.resists or self.law == ROTOR
+    def nonnegative(self) -> bool:
+        """True if the coefficient cannot be negative: dissipative friction or rotor inertia."""
+        return self.law.dissipative or self.law == ROTOR
 
     def name(self, tree: Tree) -> str:
-        """Name of the coefficient: rotor/waist."""
-        return f"{self.law.kind}/{places(tree)[self.joint]}"
+        """Name of the coefficient, KIND/JOINT or KIND/SHAFT, such as rotor/waist."""
+        return f"{self.law.kind}/{joint_and_shaft_names(tree)[self.joint]}"
 
     def unit(self, tree: Tree) -> str:
-        """Unit of the coefficient."""
+        """Unit of the coefficient for a revolute or prismatic joint.
+
+        The kind of a shaft is that of its joints.
+        """
         shaft = self.joint - tree.n
         joint = self.joint if shaft < 0 else tree.shafts[shaft].turns[0][0]
         return self.law.unit(tree.joints[joint])
 
 
 def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm, ...]:
-    """The terms that words ask for, law by law, each in the order of `places`.
+    """Joint terms of the given laws, without duplicates.
+
+    Laws are in the order of their first mention, and the terms of a law are in the order of
+    `joint_and_shaft_names`.
 
     Args:
-        tree: The robot.
-        words: A law, by name or as a value, holds at every joint and shaft; "rotor/elbow" holds
-            there alone. Offsets are the joints' alone: a shaft's is not distinct from two of those.
+        tree: Robot.
+        words: Laws, as `JointLaw` or by name: "rotor" for all joints and shafts, "rotor/elbow" for
+            a single joint or shaft. Constant laws and laws with a `by` apply to joints only, unless
+            a shaft is named: the offset of a shaft is collinear with the offsets of its joints.
 
     Raises:
-        UnknownName: There is no such law, joint or shaft.
+        UnknownName: No law, joint or shaft has the name.
     """
-    names = places(tree)
-    wanted: dict[JointLaw, set[int]] = {}
+    names = joint_and_shaft_names(tree)
+    indices_by_law: dict[JointLaw, set[int]] = {}
     for word in words:
         law, place = (
-            law_of(word),
+            law_of_term(word),
             "" if isinstance(word, JointLaw) else word.partition("/")[2],
         )
         if place and place not in names:
             raise UnknownName(f"place of '{law.kind}'", place, names)
-        everywhere = range(tree.n if law in CONSTANTS or law.by else len(names))
-        wanted.setdefault(law, set()).update(
-            [names.index(place)] if place else everywhere
+        all_indices = range(tree.n if law in CONSTANT_LAWS or law.by else len(names))
+        indices_by_law.setdefault(law, set()).update(
+            [names.index(place)] if place else all_indices
         )
-    return tuple(JointTerm(law, k) for law, at in wanted.items() for k in sorted(at))
+    return tuple(
+        JointTerm(law, k)
+        for law, indices in indices_by_law.items()
+        for k in sorted(indices)
+    )
 
 
-def law_of(word: str | JointLaw) -> JointLaw:
-    """The law of a word such as "rotor" or "rotor/elbow".
+def law_of_term(word: str | JointLaw) -> JointLaw:
+    """Joint law of a term name such as "rotor" or "rotor/elbow".
 
     Args:
-        word: Or the law itself.
+        word: Term name; or the law itself, which is returned unchanged.
 
     Raises:
-        UnknownName: There is no such law.
+        UnknownName: No law has the name.
     """
     return word if isinstance(word, JointLaw) else joint_law(word.partition("/")[0])
 
 
 def joint_law(kind: str) -> JointLaw:
-    """The law of that name: one of LAWS, CONSTANTS, VARYING, LOADED, or stribeck@SPEED.
+    """Joint law named in JOINT_LAWS, CONSTANT_LAWS, DRIFT_LAWS or LOAD_LAWS, or stribeck@SPEED.
 
     Raises:
-        UnknownName: There is none.
+        UnknownName: No law has the name, or SPEED is not between MIN_STRIBECK_SPEED and
+            MAX_STRIBECK_SPEED.
     """
-    known = {law.kind: law for law in (*LAWS, *CONSTANTS, *VARYING, *LOADED)}
+    known = {
+        law.kind: law for law in (*JOINT_LAWS, *CONSTANT_LAWS, *DRIFT_LAWS, *LOAD_LAWS)
+    }
     family, _, speed = kind.partition("@")
-    if family == STRIBECK:
+    if family == STRIBECK_KIND:
         with suppress(ValueError):
-            if SLOWEST <= float(speed) <= FASTEST:
-                return stribeck(float(speed))
+            if MIN_STRIBECK_SPEED <= float(speed) <= MAX_STRIBECK_SPEED:
+                return stribeck_law(float(speed))
     if kind not in known:
-        named = (stribeck(0.1), *LAWS, *VARYING, *LOADED)
-        raise UnknownName("term of a joint's torque", kind, [law.kind for law in named])
+        listed_laws = (stribeck_law(0.1), *JOINT_LAWS, *DRIFT_LAWS, *LOAD_LAWS)
+        raise UnknownName(
+            "term of a joint's torque", kind, [law.kind for law in listed_laws]
+        )
     return known[kind]
 
 
 def term_torque(
-    tree: Tree, term: JointTerm, qd: Array, qdd: Array, by: Array | float = 1.0
+    tree: Tree, term: JointTerm, qd: Array, qdd: Array, multiplier: Array | float = 1.0
 ) -> Array:
-    """What a unit of a term's coefficient adds to the joints' torques, (M, n) [N m or N].
+    """Joint torques of a term with unit coefficient, (M, n) [N m or N]: M samples, n joints.
+
+    The torque of a shaft acts on every joint in proportion to the transmission ratio.
 
     Args:
-        tree: The robot.
-        term: At a joint or a shaft.
+        tree: Robot.
+        term: Law at a joint or a shaft.
         qd: Joint velocities, (M, n) [rad/s or m/s].
         qdd: Joint accelerations, (M, n) [rad/s^2 or m/s^2].
-        by: What multiplies the column of a law that says so, (M,).
+        multiplier: Signal named by `JointLaw.by`, which multiplies the column, (M,); not used for a
+            law without `by`.
     """
-    turn = shares(tree)[term.joint]
-    column = term.law.columns(qd @ turn, qdd @ turn)
-    return np.outer(column * by if term.law.by else column, turn)
+    ratios = transmission_matrix(tree)[term.joint]
+    column = term.law.columns(qd @ ratios, qdd @ ratios)
+    return np.outer(column * multiplier if term.law.by else column, ratios)

@@ -1,4 +1,4 @@
-"""Gravity along the axes of a robot's base, by numbers or by a word for how it is mounted."""
+"""Gravity vectors in the base frame, from numbers or from the name of a mounting."""
 
 from __future__ import annotations
 
@@ -7,47 +7,55 @@ from typing import Any
 
 from testbed.core.base.errors import SettingsError
 
-SIZE = 9.81
-"""Where no numbers are given [m/s^2]."""
+DEFAULT_GRAVITY = 9.81
+"""Default magnitude of gravity [m/s^2]."""
 
-MOUNTINGS = {
-    "level": [0.0, 0.0, -SIZE],
-    "ceiling": [0.0, 0.0, SIZE],
-    "wall +x": [SIZE, 0.0, 0.0],
-    "wall -x": [-SIZE, 0.0, 0.0],
-    "wall +y": [0.0, SIZE, 0.0],
-    "wall -y": [0.0, -SIZE, 0.0],
+GRAVITY_BY_MOUNTING = {
+    "level": [0.0, 0.0, -DEFAULT_GRAVITY],
+    "ceiling": [0.0, 0.0, DEFAULT_GRAVITY],
+    "wall +x": [DEFAULT_GRAVITY, 0.0, 0.0],
+    "wall -x": [-DEFAULT_GRAVITY, 0.0, 0.0],
+    "wall +y": [0.0, DEFAULT_GRAVITY, 0.0],
+    "wall -y": [0.0, -DEFAULT_GRAVITY, 0.0],
     "none": [0.0, 0.0, 0.0],
 }
-"""Gravity [m/s^2] by word; on a wall the axis is that along which it points."""
+"""Gravity vectors [m/s^2], keyed by mounting; a wall mounting is named after the axis along which
+gravity points."""
 
 
-def gravity_of(given: Any) -> Any:
-    """Gravity of a text, three numbers or one of `MOUNTINGS` [m/s^2]; other values as they are.
+def parse_gravity(value: Any) -> Any:
+    """Gravity vector from a text: three numbers [m/s^2] or a key of `GRAVITY_BY_MOUNTING`.
+
+    Values other than texts are returned unchanged.
 
     Args:
-        given: As a person wrote it.
+        value: Text of a file or option, numbers separated by blanks or commas; or a vector.
 
     Raises:
-        SettingsError: The text is neither.
+        SettingsError: The text is neither three numbers nor a name.
     """
-    if not isinstance(given, str):
-        return given
-    words = given.replace(",", " ").split()
+    if not isinstance(value, str):
+        return value
+    words = value.replace(",", " ").split()
     try:
-        x, y, z = MOUNTINGS.get(" ".join(words)) or map(float, words)
+        x, y, z = GRAVITY_BY_MOUNTING.get(" ".join(words)) or map(float, words)
     except ValueError:
         raise SettingsError(
-            f"'{given:.40}' is no gravity: three numbers [m/s^2], or {', '.join(MOUNTINGS)}"
+            f"'{value:.40}' is no gravity: three numbers [m/s^2], or "
+            f"{', '.join(GRAVITY_BY_MOUNTING)}"
         ) from None
     return [x, y, z]
 
 
-def in_words(gravity: Sequence[float]) -> str | list[float]:
-    """The word for a gravity, or its numbers where there is none [m/s^2].
+def mounting_name(gravity: Sequence[float]) -> str | list[float]:
+    """Name of the mounting for a gravity vector; three numbers if no name fits.
+
+    A name fits if its vector in `GRAVITY_BY_MOUNTING` equals the given vector exactly.
 
     Args:
-        gravity: (3,) [m/s^2].
+        gravity: Gravity vector, (3,) [m/s^2].
     """
     numbers = [float(each) for each in gravity]
-    return next((word for word, g in MOUNTINGS.items() if g == numbers), numbers)
+    return next(
+        (word for word, g in GRAVITY_BY_MOUNTING.items() if g == numbers), numbers
+    )

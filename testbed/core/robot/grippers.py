@@ -1,4 +1,4 @@
-"""Joints of grippers."""
+"""Finger joints of grippers, recognised by their mimic joints."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Collection
 from testbed.core.robot.tree import Tree
 
 
-def fingers(tree: Tree, followed: Collection[str]) -> list[int]:
-    """Indices of joints that others follow and that carry no other joint.
+def finger_joints(tree: Tree, followed: Collection[str]) -> list[int]:
+    """Indices of gripper finger joints: masters of mimic joints that have no child joints.
 
     Args:
-        tree: The robot.
-        followed: Names of joints that others follow.
+        tree: Robot.
+        followed: Names of the master joints of mimic joints.
     """
-    carrying = {joint.parent for joint in tree.joints}
+    parents = {joint.parent for joint in tree.joints}
     return [
-        j for j, name in enumerate(tree.names) if name in followed and j not in carrying
+        j for j, name in enumerate(tree.names) if name in followed and j not in parents
     ]

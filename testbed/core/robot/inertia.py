@@ -1,7 +1,7 @@
-"""The ten inertial parameters of one rigid body, and whether a rigid body can have them.
+"""Inertial parameters of a rigid body: mass, first moment, inertia tensor, pseudo-inertia.
 
-Kept about the body frame's origin, where every wrench is linear in them; files speak of
-the mass centre, so the passage from there is here too.
+Parameters are stored about the origin of the body frame, because wrenches are linear in these
+parameters. Model files state inertias about the mass centre, hence the conversions.
 """
 
 from __future__ import annotations
@@ -13,23 +13,25 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.core.base.arrays import Array, freeze, readonly, skew
+from testbed.core.base.arrays import Array, freeze_arrays, readonly_array, skew
 from testbed.core.base.summary_table import Value
 from testbed.core.base.transform import Transform
 
-HEAVIEST = 1e12
-"""Masses, first moments and inertias beyond this are a mistake [kg, kg m, kg m^2]."""
+MAX_INERTIAL_PARAMETER = 1e12
+"""Largest accepted magnitude of a mass, first moment or inertia [kg, kg m, kg m^2]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Inertia(Value):
-    """Mass, first moment and inertia of one rigid body, about and along its body frame.
+    """Mass, first moment and inertia tensor of a rigid body, relative to its frame.
+
+    Moments are taken about the origin of the frame, in components along the axes of the frame.
 
     Attributes:
-        mass: [kg].
-        first_moment: Mass times the mass centre, (3,) [kg m].
-        tensor: Inertia about the frame's origin, (3, 3), symmetric [kg m^2]; products of
-            inertia carry their minus sign, I_yz = -integral y z dm.
+        mass: Mass [kg].
+        first_moment: Product of mass and mass centre, (3,) [kg m].
+        tensor: Symmetric inertia tensor, (3, 3) [kg m^2]; the off-diagonal entries are negative
+            products of inertia, for example I_yz = -integral(y z dm).
     """
 
     mass: float
@@ -38,11 +40,17 @@ class Inertia(Value):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", float(self.mass))
-        freeze(self, first_moment=(3,), tensor=(3, 3))
+        freeze_arrays(self, first_moment=(3,), tensor=(3, 3))
 
     @staticmethod
     def about_centre(mass: float, com: ArrayLike, central: ArrayLike) -> Inertia:
-        """From mass [kg], mass centre (3,) [m] and inertia about it (3, 3) [kg m^2]."""
+        """Build an inertia from mass, mass centre and inertia about the mass centre.
+
+        Args:
+            mass: Mass [kg].
+            com: Mass centre in the body frame, (3,) [m].
+            central: Inertia about the mass centre, along the body axes, (3, 3) [kg m^2].
+        """
         c = np.asarray(com, dtype=np.float64)
         return Inertia(mass, mass * c, np.asarray(central) - mass * skew(c) @ skew(c))
 
@@ -54,7 +62,10 @@ class Inertia(Value):
 
     @property
     def radius(self) -> float:
-        """Radius of gyration about the frame's origin, by the sum of second moments [m]."""
+        """Radius of gyration about the frame's origin [m]; zero for a massless body.
+
+        The radius is sqrt(trace(S) / mass), where S is the matrix of second moments (see `pseudo`).
+        """
         return (
             math.sqrt(max(np.trace(self.tensor) / 2 / self.mass, 0.0))
             if self.mass > 0
@@ -63,51 +74,55 @@ class Inertia(Value):
 
     @cached_property
     def central(self) -> Array:
-        """Inertia about the mass centre, (3, 3) [kg m^2]."""
+        """Inertia tensor about the mass centre, along the body axes, (3, 3) [kg m^2]."""
         lever = skew(self.com)
-        return readonly(self.tensor + self.mass * lever @ lever, (3, 3), "central")
+        return readonly_array(
+            self.tensor + self.mass * lever @ lever, (3, 3), "central"
+        )
 
     @property
     def within_limits(self) -> bool:
-        """Whether all are numbers, and none is beyond HEAVIEST."""
+        """True if all parameters are numbers with magnitudes of at most MAX_INERTIAL_PARAMETER."""
         ten = np.concatenate([[self.mass], self.first_moment, self.tensor.ravel()])
-        return bool((np.abs(ten) <= HEAVIEST).all())  # NaN fails too
+        return bool((np.abs(ten) <= MAX_INERTIAL_PARAMETER).all())  # NaN fails too
 
     @property
     def pseudo(self) -> Array:
-        """Second moments, first moments and mass as one matrix, [[S, h], [h', m]], (4, 4).
+        """Pseudo-inertia matrix [[S, h], [h', m]] about the frame's origin, (4, 4).
 
-        [WKS18]: positive semidefinite if and only if the body is of rigid matter.
+        S is the matrix of second moments, integral(r r' dm) [kg m^2], h is the first moment [kg m],
+        and m is the mass [kg]. The matrix is positive semidefinite if and only if the body is
+        physically consistent [WKS18].
         """
-        found = np.empty((4, 4))
-        found[:3, :3] = np.trace(self.tensor) / 2 * np.eye(3) - self.tensor
-        found[:3, 3] = found[3, :3] = self.first_moment
-        found[3, 3] = self.mass
-        return found
+        matrix = np.empty((4, 4))
+        matrix[:3, :3] = np.trace(self.tensor) / 2 * np.eye(3) - self.tensor
+        matrix[:3, 3] = matrix[3, :3] = self.first_moment
+        matrix[3, 3] = self.mass
+        return matrix
 
     @staticmethod
     def of_pseudo(matrix: Array) -> Inertia:
-        """From such a matrix, (4, 4)."""
+        """Build an inertia from a pseudo-inertia matrix as defined in `pseudo`, (4, 4)."""
         second = matrix[:3, :3]
         return Inertia(
             matrix[3, 3], matrix[:3, 3], np.trace(second) * np.eye(3) - second
         )
 
-    def moved(self, X_AB: Transform) -> Inertia:
-        """Inertia about and along frame A of a body given in frame B.
+    def transformed(self, X_AB: Transform) -> Inertia:
+        """Inertia relative to frame A of a body that is given in frame B.
 
         Args:
-            X_AB: Pose of the body frame B in A.
+            X_AB: Pose of body frame B in A.
         """
         rotation, position = X_AB.R_AB, X_AB.p_AB_A
         h = rotation @ self.first_moment
         lever, offset = skew(h), skew(position)
-        turned = rotation @ self.tensor @ rotation.T
+        rotated_tensor = rotation @ self.tensor @ rotation.T
         shift = offset @ lever + lever @ offset + self.mass * offset @ offset
-        return Inertia(self.mass, h + self.mass * position, turned - shift)
+        return Inertia(self.mass, h + self.mass * position, rotated_tensor - shift)
 
     def __add__(self, other: Inertia) -> Inertia:
-        """Two bodies welded together, both about the same frame."""
+        """Inertia of two bodies welded together, both relative to the same frame."""
         return Inertia(
             self.mass + other.mass,
             self.first_moment + other.first_moment,
@@ -115,17 +130,20 @@ class Inertia(Value):
         )
 
 
-NOTHING = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
-"""A body without matter."""
+ZERO_INERTIA = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
+"""Inertia of a massless body."""
 
 
-def upper_root(matrix: Array) -> Array:
-    """U with U U' the pseudo-inertia, upper triangular: an affine map, and a root of the mass.
+def upper_cholesky_factor(matrix: Array) -> Array:
+    """Upper triangular Cholesky factor U of a pseudo-inertia matrix P = U U', (4, 4).
+
+    U is the product of sqrt(mass) and the matrix of an affine map in homogeneous coordinates, with
+    last row (0, 0, 0, 1).
 
     Args:
-        matrix: (4, 4), positive definite.
+        matrix: Pseudo-inertia, (4, 4), positive definite.
 
     Raises:
-        LinAlgError: It is not.
+        LinAlgError: The matrix is not positive definite.
     """
     return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])

@@ -1,4 +1,4 @@
-"""Law of a joint's torque: a column of velocity and acceleration, times a coefficient."""
+"""Joint torque law: a function of velocity and acceleration times one coefficient per joint."""
 
 from __future__ import annotations
 
@@ -9,48 +9,49 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import named
+from testbed.core.base.codec import schema_by_name
 from testbed.core.robot.tree import Joint, Tree
 
 
 @dataclass(frozen=True)
 class JointLaw:
-    """One kind of term of the joints' torques; every joint has a coefficient of its own.
+    """Term of the joint torques: a regressor column times one coefficient per joint.
 
     Attributes:
-        kind: Its name: the estimate calls the coefficients `kind/JOINT`.
-        turning: Unit of the coefficient at a revolute joint.
-        sliding: Unit of the coefficient at a prismatic joint.
-        column: What the coefficient multiplies: a function of velocity and acceleration
-            [rad/s or m/s, rad/s^2 or m/s^2], element by element. Those in LAWS are
-            compiled for single numbers, too: arithmetic and NumPy's functions only.
-        parameter: The field of `Joint` that holds the model file's coefficient; None where
-            no model file states one.
-        resists: Whether it takes energy from the motion, as friction does: such a
-            coefficient cannot be negative.
-        jumps: Whether the column jumps where the motion reverses.
-        by: What of the recording multiplies the column, joint by joint: "time" since its middle
-            [s], "temperature" above 25 degC [K], one of BY_LOAD; "" for nothing. Of joints only,
-            not of shafts.
+        kind: Name of the law; the coefficients are named `kind/JOINT` in estimates.
+        revolute_unit: Unit of the coefficient at a revolute joint.
+        prismatic_unit: Unit of the coefficient at a prismatic joint.
+        column: Regressor column as a function of velocity and acceleration [rad/s or m/s, rad/s^2
+            or m/s^2], evaluated element by element. Columns of JOINT_LAWS are also compiled for
+            scalars, and may therefore use only arithmetic and NumPy functions.
+        parameter: Field of `Joint` that holds the coefficient of the model file; None if model
+            files do not state the coefficient.
+        dissipative: True for a dissipative law such as friction, whose coefficient cannot be
+            negative.
+        discontinuous: True if the column is discontinuous where the velocity changes sign.
+        by: Signal of each joint in the recording by which the column is multiplied: "time" since
+            the middle of the recording [s], "temperature" above 25 degC [K] or a key of
+            LOAD_MULTIPLIERS; "" for no multiplier. A law with a multiplier applies to joints only,
+            not to shafts.
     """
 
     kind: str
-    turning: str
-    sliding: str
+    revolute_unit: str
+    prismatic_unit: str
     column: Callable[[Any, Any], Any]
     parameter: str | None = None
-    resists: bool = False
-    jumps: bool = False
+    dissipative: bool = False
+    discontinuous: bool = False
     by: str = ""
 
-    __get_pydantic_core_schema__ = named(lambda law: law.kind)
+    __get_pydantic_core_schema__ = schema_by_name(lambda law: law.kind)
 
     def unit(self, joint: Joint) -> str:
-        """Unit of the coefficient at a joint."""
-        return self.turning if joint.revolute else self.sliding
+        """Unit of the coefficient at a revolute or prismatic joint."""
+        return self.revolute_unit if joint.revolute else self.prismatic_unit
 
     def coefficients(self, tree: Tree) -> Array:
-        """What the model file states, (n,); zero where it states nothing."""
+        """Coefficients of all joints in the model file, (n,); zeros if `parameter` is None."""
         if self.parameter is None:
             return np.zeros(tree.n)
         return np.array(
@@ -58,12 +59,17 @@ class JointLaw:
         )
 
     def columns(self, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
-        """The column of every joint, shaped as `qd`.
+        """Regressor columns of all joints, with the shape of `qd`.
 
         Args:
-            qd: Velocities [rad/s or m/s].
-            qdd: Accelerations, of the same shape [rad/s^2 or m/s^2].
-            smooth: Speed over which a jump is smoothed [rad/s or m/s]; 0 for none.
+            qd: Joint velocities, (..., n) [rad/s or m/s].
+            qdd: Joint accelerations, same shape [rad/s^2 or m/s^2].
+            smooth: Speed v0 [rad/s or m/s]: the column of a discontinuous law is replaced by its
+                magnitude times tanh(qd / v0); 0 for no smoothing.
         """
-        found: Array = np.broadcast_to(self.column(qd, qdd), np.shape(qd))
-        return np.abs(found) * np.tanh(qd / smooth) if self.jumps and smooth else found
+        columns: Array = np.broadcast_to(self.column(qd, qdd), np.shape(qd))
+        return (
+            np.abs(columns) * np.tanh(qd / smooth)
+            if self.discontinuous and smooth
+            else columns
+        )

@@ -1,7 +1,7 @@
-"""A model file, whichever of the two languages it is written in: its tree, and all it refers to.
+"""Model files in MJCF or URDF: reading as a tree, referenced files, copies.
 
-The same way of reading for the tree, the plant and the pictures; and one gate: only numbers that
-a robot can have.
+The tree, the simulated plant and pictures are built from model files that are read in the same way
+and with the same checks.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from testbed.core.base.diagnostics import diagnose
-from testbed.core.base.errors import WIDTH, ModelError, few
-from testbed.core.base.file_kinds import expecting
-from testbed.core.base.installation import own_or_shipped
-from testbed.core.robot.asset_files import asset_fault, mjcf_files
-from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.inertia import HEAVIEST
-from testbed.core.robot.locks import Lock, Travel
-from testbed.core.robot.parsing import check_name, errors_of, read_xml
+from testbed.core.base.diagnostics import make_diagnostic
+from testbed.core.base.errors import MAX_LIST_WIDTH, ModelError, shortened_list
+from testbed.core.base.file_kinds import explain_wrong_kind
+from testbed.core.base.installation import user_or_shipped_file
+from testbed.core.robot.asset_files import copy_obstacle, mjcf_references
+from testbed.core.robot.force_sensor import ForceSensor, tree_beyond_sensor
+from testbed.core.robot.inertia import MAX_INERTIAL_PARAMETER
+from testbed.core.robot.locks import JointLocks, JointTravel
+from testbed.core.robot.parsing import check_name, prefix_model_errors, read_xml
 from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
-from testbed.core.robot.repair import Bodies, FileLink, Repair
+from testbed.core.robot.repair import InertiasByLink, ModelLink, Repair
 from testbed.core.robot.right_angles import with_right_angles
 from testbed.core.robot.tree import ModelSource, Tree
 
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
     from testbed.core.robot.formats.mjcf import MjcfModel
     from testbed.core.robot.formats.urdf import UrdfModel
 
-MOST_JOINTS = 1_000
-"""Matrices of a robot grow with the square of its joints."""
+MAX_JOINTS = 1_000
+"""Largest number of joints, as the size of a robot's matrices grows with its square."""
 
 
 @dataclass(frozen=True)
 class ModelFile(ModelSource):
-    """An MJCF or URDF file, and how to read it."""
+    """MJCF or URDF file of a robot, with options for reading."""
 
     def read(self) -> MjcfModel | UrdfModel:
-        """Its links, and what its language makes of them.
+        """Read the file with the reader for its format.
 
         Raises:
-            ModelError: The file cannot be read or holds what is not supported.
+            ModelError: The file cannot be read or holds unsupported elements.
         """
         if model_format(self.path) == "mjcf":
             from testbed.core.robot.formats import mjcf
@@ -53,8 +53,8 @@ class ModelFile(ModelSource):
 
         return urdf.read(self)
 
-    def links(self) -> tuple[FileLink, ...]:
-        """Its links in the bodies of the tree, carriers before what they carry.
+    def links(self) -> tuple[ModelLink, ...]:
+        """Read the links of the file, each after the link that carries it.
 
         Raises:
             ModelError: The file cannot be read.
@@ -62,21 +62,21 @@ class ModelFile(ModelSource):
         return self.read().links
 
     def tree(self) -> Tree:
-        """The robot.
+        """Read the file as a kinematic tree.
 
         Raises:
-            ModelError: The file cannot be read or holds what is not supported.
+            ModelError: The file cannot be read or holds unsupported elements.
         """
         return load_tree(
             self.path, weld_root=self.weld_root, repair=self.repair, lock=self.lock
         )
 
 
-def file_of(tree: Tree) -> ModelFile:
-    """The model file of a robot.
+def model_file_of(tree: Tree) -> ModelFile:
+    """Model file from which a tree was read.
 
     Raises:
-        ModelError: It was not read from one.
+        ModelError: The tree was not read from a file.
     """
     if not isinstance(tree.file, ModelFile):
         raise ModelError(
@@ -86,12 +86,12 @@ def file_of(tree: Tree) -> ModelFile:
 
 
 def model_format(path: Path) -> Literal["mjcf", "urdf"]:
-    """Which language the file is in, by its root element.
+    """Format of a model file from its root element: "mjcf" for <mujoco>, "urdf" for <robot>.
 
     Raises:
         ModelError: The file is missing, not XML, or neither MJCF nor URDF.
     """
-    with expecting(path, "model file"):
+    with explain_wrong_kind(path, "model file"):
         root = read_xml(path)
         if root.tag == "mujoco":
             return "mjcf"
@@ -107,54 +107,59 @@ def load_tree(
     path: str | Path,
     *,
     weld_root: bool = False,
-    repair: Bodies | None = None,
-    lock: Lock | None = None,
+    repair: InertiasByLink | None = None,
+    lock: JointLocks | None = None,
     sensor: ForceSensor | None = None,
 ) -> Tree:
-    """Read a robot from MJCF or URDF.
+    """Read a robot from an MJCF or URDF file.
 
-    Joints are revolute or prismatic; fixed ones are merged. Meshes do not matter, unless
-    an MJCF body takes its inertia from one.
+    Joints are revolute or prismatic; fixed joints are merged. Meshes have no effect, unless an MJCF
+    body takes its inertia from a mesh. Rounded right angles are made exact (`with_right_angles`);
+    the tree's `diagnostics` list all accepted faults.
 
     Args:
-        path: The model file; or the name of one that testbed ships, as "puma562.xml".
-        weld_root: Weld a floating root to the bedplate instead of refusing it.
-        repair: Bodies in place of those that no matter can make (links that are fixed to
-            each other are one body): what `nearest_bodies` finds, say; {} refuses such a file.
-            None takes the nearest bodies that can be and names them in the tree's `diagnostics`.
-        lock: Positions at which joints are held, by name [rad or m]: their bodies become part
-            of those that carry them. None is where the joint rests: at zero, in the middle of
-            a range without zero, or where the joint that it follows takes it. Joints that
-            follow a held one are held with it.
-        sensor: A force sensor in the robot: the tree is then of what lies beyond it, and of the
-            joints that lead there.
+        path: Model file; or name of a file shipped with testbed, such as "puma562.xml".
+        weld_root: True to weld a floating root to the bedplate instead of raising an error.
+        repair: Replacements for physically inconsistent inertias of bodies (links fixed to each
+            other form one body), such as `nearest_consistent_bodies(path).bodies`; {} raises an
+            error for inconsistent inertias. None selects the nearest consistent inertias, and lists
+            the bodies in the tree's `diagnostics`.
+        lock: Positions of locked joints, keyed by name [rad or m]; the bodies of locked joints
+            become part of the carrying bodies. None stands for the rest position: zero, the middle
+            of a range without zero, or the position that the master joint implies. A mimic joint is
+            locked together with its master.
+        sensor: Force sensor in the robot; the tree then consists of the links beyond the sensor and
+            of the joints that lead to the sensor.
 
     Raises:
-        ModelError: The file cannot be read or holds what is not supported; a floating root,
-            bodies that cannot be and joints that follow others are the subclasses
-            FreeRootError, InertiaError, MimicError.
-        UnknownName: A joint to be held, or the sensor's link, is not in the file.
+        ModelError: The file cannot be read or contains unsupported elements. The subclasses
+            FreeRootError, InertiaError and MimicError stand for a floating root, inconsistent
+            inertias and mimic joints that are not locked.
+        UnknownName: A joint to be locked, or the sensor's link, is not in the file.
     """
-    file = ModelFile(own_or_shipped(path), weld_root, repair, lock or {})
+    file = ModelFile(user_or_shipped_file(path), weld_root, repair, lock or {})
     source = file.read()
     tree = replace(with_right_angles(source.tree()), file=file)
-    with errors_of(file.path):
+    with prefix_model_errors(file.path):
         check_tree(tree)
-    if strange := {
-        f"'{each.name}' ({why})": 0 for each, _, why in _named_files(file.path) if why
+    if excluded := {
+        f"'{each.name}' ({why})": 0
+        for each, _, why in _referenced_files(file.path)
+        if why
     }:
-        said = diagnose("model.not-copied", few([*strange], WIDTH, "; "))
-        tree = replace(tree, diagnostics=(*tree.diagnostics, said))
-    return tree if sensor is None else beyond_sensor(tree, source.links, sensor)
+        diagnostic = make_diagnostic(
+            "model.not-copied", shortened_list([*excluded], MAX_LIST_WIDTH, "; ")
+        )
+        tree = replace(tree, diagnostics=(*tree.diagnostics, diagnostic))
+    return tree if sensor is None else tree_beyond_sensor(tree, source.links, sensor)
 
 
-def nearest_bodies(
-    path: str | Path, *, weld_root: bool = False, lock: Lock | None = None
+def nearest_consistent_bodies(
+    path: str | Path, *, weld_root: bool = False, lock: JointLocks | None = None
 ) -> Repair:
-    """The bodies of a model file that no matter can make, and the nearest that can be.
+    """Physically inconsistent bodies of a model file, with the nearest consistent inertias.
 
-    A file whose moments are off by rounding alone has none of them: such are repaired whatever
-    is asked for.
+    `Repair.bodies` omits bodies with rounding errors only, which are always repaired.
 
     Arguments and errors are those of `load_tree`.
     """
@@ -162,42 +167,47 @@ def nearest_bodies(
 
 
 def mimic_joints(path: str | Path) -> tuple[str, ...]:
-    """The joints of a model file that follow others, and so are none of a tree.
+    """Names of the mimic joints with a master joint in a model file.
 
-    `load_tree(path, lock=dict.fromkeys(mimic_joints(path)))` holds them where the zeros of
-    the joints that they follow take them.
+    `load_tree(path, lock=dict.fromkeys(mimic_joints(path)))` locks them at the positions that
+    the rest positions of their master joints imply.
 
     Raises:
         ModelError: The file cannot be read.
     """
-    found = _travels(Path(path))
-    return tuple(name for name, each in found.items() if each.master)
+    travels = _travels(Path(path))
+    return tuple(name for name, travel in travels.items() if travel.master)
 
 
-def expressible(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
-    """Model file with its root welded and joints held as far as a tree needs it, and the tree.
+def readable_model(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
+    """Read a model file, with root welded and joints locked where a tree requires it.
+
+    A floating root is welded, all mimic joints are locked at the positions that their masters
+    imply, and the joints of a kinematic loop at their rest positions. Locks given in `file` take
+    precedence.
 
     Args:
-        file: The model file, and how it was asked to be read.
+        file: Model file with options for reading.
 
     Returns:
-        The file as it can be read, its tree, and the joints that others follow.
+        Model file with changed options, the tree, and the names of the master joints of mimic
+        joints (empty if no mimic joint had to be locked).
 
     Raises:
-        ModelError: The file cannot be read, or holds what is not supported.
+        ModelError: The file cannot be read, or holds unsupported elements.
     """
-    followed: frozenset[str] = frozenset()
+    masters: frozenset[str] = frozenset()
     while True:
         try:
-            return file, file.tree(), followed
+            return file, file.tree(), masters
         except FreeRootError:
             if file.weld_root:
                 raise
             file = replace(file, weld_root=True)
         except MimicError as error:
-            if followed:
+            if masters:
                 raise
-            followed = frozenset(error.masters.values())
+            masters = frozenset(error.masters.values())
             file = replace(
                 file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock}
             )
@@ -206,7 +216,7 @@ def expressible(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
 
 
 def joint_names(path: str | Path) -> tuple[str, ...]:
-    """Names of all joints of a model file that move, those that follow others too.
+    """Names of all moving joints of a model file, mimic joints included.
 
     Raises:
         ModelError: The file cannot be read.
@@ -214,24 +224,29 @@ def joint_names(path: str | Path) -> tuple[str, ...]:
     return tuple(_travels(Path(path)))
 
 
-def _travels(path: Path) -> Mapping[str, Travel]:
+def _travels(path: Path) -> Mapping[str, JointTravel]:
+    """Range and coupling of every moving joint, keyed by name; no ranges for MJCF."""
     if model_format(path) == "mjcf":
-        from testbed.core.robot.formats.mjcf_spec import travels
-    else:
-        from testbed.core.robot.formats.urdf_xml import travels
-    return travels(path)
+        from testbed.core.robot.formats.mjcf_spec import mjcf_joint_travels
+
+        return mjcf_joint_travels(path)
+    from testbed.core.robot.formats.urdf_xml import urdf_joint_travels
+
+    return urdf_joint_travels(path)
 
 
 def check_tree(tree: Tree) -> None:
-    """Whether every number of a tree makes sense.
+    """Check that names, placements, limits, gravity and inertias of a tree are valid.
+
+    The tree must have 1 to MAX_JOINTS joints with unique names.
 
     Raises:
-        ModelError: Names the joint or body and the number.
+        ModelError: A name or number is invalid; the message names the joint or body.
     """
     if tree.n == 0:
         raise ModelError("the robot has no joint that moves")
-    if tree.n > MOST_JOINTS:
-        raise ModelError(f"{tree.n} joints that move; {MOST_JOINTS} is the limit")
+    if tree.n > MAX_JOINTS:
+        raise ModelError(f"{tree.n} joints that move; {MAX_JOINTS} is the limit")
     check_name(tree.name, "the robot's name")
     for joint in tree.joints:
         check_name(joint.name, "a joint's name")
@@ -246,82 +261,97 @@ def check_tree(tree: Tree) -> None:
     for owner, inertia in zip(owners, (*tree.inertias, tree.pedestal), strict=True):
         if not inertia.within_limits:
             raise ModelError(
-                f"{owner} has a mass, centre or inertia that is no number, or beyond {HEAVIEST:g}"
+                f"{owner} has a mass, centre or inertia that is no number, or beyond "
+                f"{MAX_INERTIAL_PARAMETER:g}"
             )
 
 
 def copy_model(path: Path, folder: Path) -> Path:
-    """Copy a model file with all that it refers to.
+    """Copy a model file together with the files to which it refers.
 
-    The files keep their places relative to each other, so that the copy finds them; what is
-    missing is left out, as it is when the model is read, and what `asset_fault` finds strange.
+    Relative positions of the files are kept, so that references stay valid. Missing files and files
+    with a `copy_obstacle` are left out.
 
     Args:
-        path: The model file.
-        folder: Where to; made if it is not there.
+        path: Model file.
+        folder: Target folder; created if missing.
 
     Returns:
-        The copy of the model file.
+        Path of the copied model file.
 
     Raises:
         ModelError: The model file cannot be read.
     """
     path = path.resolve()
-    held = references(path)
+    referenced = referenced_files(path)
     root = Path(
-        os.path.commonpath([path.parent, *held.values(), *(f.parent for f in held)])
+        os.path.commonpath(
+            [path.parent, *referenced.values(), *(f.parent for f in referenced)]
+        )
     )
-    for file in (path, *held):
-        place = folder / file.relative_to(root)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, place)
+    for file in (path, *referenced):
+        target = folder / file.relative_to(root)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, target)
     return folder / path.relative_to(root)
 
 
-def references(path: Path) -> dict[Path, Path]:
-    """Files that a model refers to, and the folder from which their names lead there.
+def referenced_files(path: Path) -> dict[Path, Path]:
+    """Files to be copied with a model, with the base folders of their names.
+
+    Files with a `copy_obstacle` are left out.
 
     Raises:
         ModelError: The model file cannot be read.
     """
-    return {file: at for file, at, fault in _named_files(path) if fault is None}
+    return {
+        file: base for file, base, fault in _referenced_files(path) if fault is None
+    }
 
 
-def _named_files(path: Path) -> Iterator[tuple[Path, Path, str | None]]:
-    """Files that a model refers to, the folders of their names, and why copies lack them."""
-    home = path.resolve()
-    for file, at in (
-        mjcf_files(path) if model_format(path) == "mjcf" else _of_urdf(path)
+def _referenced_files(path: Path) -> Iterator[tuple[Path, Path, str | None]]:
+    """Yield files referenced by a model, base folders, and obstacles to copying (or None)."""
+    model = path.resolve()
+    for file, base in (
+        mjcf_references(path) if model_format(path) == "mjcf" else _urdf_meshes(path)
     ):
-        yield file, at, asset_fault(file, home)
+        yield file, base, copy_obstacle(file, model)
 
 
-def _of_urdf(path: Path) -> Iterator[tuple[Path, Path]]:
+def _urdf_meshes(path: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield existing visual meshes of a URDF file, with the base folders of their names."""
     for mesh in read_xml(path).iterfind("link/visual/geometry/mesh"):
-        found = find_mesh(mesh.get("filename", ""), path)
-        if found is not None:
-            place, file = found
-            yield Path(os.path.normpath(file)), place
+        location = find_mesh(mesh.get("filename", ""), path)
+        if location is not None:
+            folder, file = location
+            yield Path(os.path.normpath(file)), folder
 
 
 def find_mesh(name: str, model: Path) -> tuple[Path, Path] | None:
-    """A mesh's file, and the folder from which its name leads there; None if there is none.
+    """Base folder and file of a mesh named in a URDF; None if missing.
 
-    package://PACKAGE/... is looked for below all folders above the model, with and without
-    the package's name.
+    A name package://PACKAGE/... is resolved relative to the folders above the model, nearest first,
+    with the package name and then without it. Any other name is resolved relative to the model's
+    folder.
 
     Args:
-        name: As in the model file.
-        model: The model file.
+        name: Name in the model file.
+        model: Model file.
     """
-    places = [model.resolve().parent, *model.resolve().parent.parents]
-    bare = Path(name.removeprefix("file://"))
-    tried = [(places[0], bare)]
+    folders = [model.resolve().parent, *model.resolve().parent.parents]
+    plain_path = Path(name.removeprefix("file://"))
+    candidates = [(folders[0], plain_path)]
     if name.startswith("package://"):
-        rest = Path(name.removeprefix("package://"))
-        inside = Path(*rest.parts[1:]) if len(rest.parts) > 1 else rest
-        tried = [(place, part) for place in places for part in (rest, inside)]
-    for place, part in tried:
-        if (place / part).is_file():
-            return place, place / part
+        package_path = Path(name.removeprefix("package://"))
+        inner_path = (
+            Path(*package_path.parts[1:])
+            if len(package_path.parts) > 1
+            else package_path
+        )
+        candidates = [
+            (folder, part) for folder in folders for part in (package_path, inner_path)
+        ]
+    for folder, part in candidates:
+        if (folder / part).is_file():
+            return folder, folder / part
     return None

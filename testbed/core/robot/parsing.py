@@ -1,8 +1,7 @@
-"""Between model files and the parsers that read them.
+"""Reading of XML model files within limits, number formats, and capture of standard error.
 
-Parsers in C recurse over elements and print names; what would make them crash or would
-disturb a terminal is refused here, before they see it: nothing larger, deeper or worse named
-goes further. What they write to standard error is kept.
+C parsers recurse over elements and print names. Files that are too large or too deeply nested could
+crash a parser, and malformed names could disturb a terminal; these files are rejected first.
 """
 
 from __future__ import annotations
@@ -18,20 +17,22 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from xml.parsers.expat import ExpatError, ParserCreate
 
-from testbed.core.base.errors import ModelError, no_file
+from testbed.core.base.errors import ModelError, missing_file_message
 
-LARGEST = 64 * 2**20
-"""Size of a model file [bytes]; meshes are files of their own."""
-MOST_ELEMENTS = 200_000
-DEEPEST = 450
-"""Elements within each other; MuJoCo's own parser stops at 500."""
-MOST_ATTRIBUTES = 500
-"""Of one element; parsers compare each with all others."""
-LONGEST_NAME = 200
-LONGEST_NUMBER = 400
-"""Characters: Python takes quadratic time over digits."""
-_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-_NAMES = {
+MAX_FILE_BYTES = 64 * 2**20
+"""Largest size of a model file, meshes excluded [bytes]."""
+MAX_ELEMENTS = 200_000
+"""Largest number of XML elements in a file."""
+MAX_ELEMENT_DEPTH = 450
+"""Largest nesting depth of XML elements; MuJoCo's own parser stops at 500."""
+MAX_ATTRIBUTES = 500
+"""Largest number of attributes of an element; parsers compare every attribute with all others."""
+MAX_NAME_LENGTH = 200
+"""Largest number of characters of a name."""
+MAX_NUMBER_LENGTH = 400
+"""Largest number of characters of a number, as Python's conversion takes quadratic time."""
+_DECIMAL_PATTERN = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_NAME_ATTRIBUTES = {
     "name",
     "model",
     "link",
@@ -50,34 +51,38 @@ _NAMES = {
     "mesh",
     "material",
 }
-"""Attributes that name something: they come back in columns, files and messages."""
-_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Unicode's control, format (bidirectional ones too), surrogate and separator characters."""
+"""Attributes that hold names; names appear in column headings, files and messages."""
+_CONTROL_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Unicode categories of control, format (bidirectional too), surrogate and separator characters."""
 
 
 def read_xml(path: Path) -> ET.Element:
-    """The root element of a model file.
+    """Read an XML model file within the size limits and return the root element.
+
+    The limits apply to the file size, the number and nesting depth of elements, the number of
+    attributes per element, and the length of names.
 
     Raises:
-        ModelError: There is no such file, it is not XML, or it is beyond a limit.
+        ModelError: The file does not exist, is not XML, exceeds a limit, or holds malformed names;
+            the message starts with the path.
     """
     if not path.is_file():
-        raise ModelError(no_file(path, "model file"))
-    with errors_of(path):
+        raise ModelError(missing_file_message(path, "model file"))
+    with prefix_model_errors(path):
         size = path.stat().st_size
-        if size > LARGEST:
+        if size > MAX_FILE_BYTES:
             raise ModelError(f"{size / 2**20:.0f} MiB; a model file has at most 64 MiB")
         try:
-            return _parsed(path)
+            return _parse_xml(path)
         except (
             ExpatError,
             LookupError,
             ValueError,
-        ) as error:  # the latter: odd encodings
+        ) as error:  # the last two: unknown encodings
             with path.open("rb") as file:
                 # bytes by which a web page is recognised
-                page = file.read(1024).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
-            if page.startswith((b"<!doctype html", b"<html")):
+                start = file.read(1024).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
+            if start.startswith((b"<!doctype html", b"<html")):
                 raise ModelError(
                     "a web page, no model; download the raw file"
                 ) from None
@@ -87,18 +92,24 @@ def read_xml(path: Path) -> ET.Element:
             raise ModelError(f"not well-formed XML ({error}){hint}") from None
 
 
-def _parsed(path: Path) -> ET.Element:
-    """Parse XML without namespaces, whose prefixes robot files may leave undeclared."""
-    parser, found = ParserCreate(), _Limited()
-    parser.StartElementHandler, parser.EndElementHandler = found.start, found.end
+def _parse_xml(path: Path) -> ET.Element:
+    """Parse XML without namespace processing and return the root element.
+
+    Robot files may use undeclared namespace prefixes.
+    """
+    parser, builder = ParserCreate(), _LimitedTreeBuilder()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     with path.open("rb") as file:
         parser.ParseFile(file)
-    return found.close()
+    return builder.close()
 
 
 @contextmanager
-def errors_of(path: Path) -> Iterator[None]:
-    """Errors in a model file begin with its name; those of a kind of their own have it already."""
+def prefix_model_errors(path: Path) -> Iterator[None]:
+    """Prefix the messages of `ModelError` raised within a context with the file path.
+
+    Messages of subclasses of `ModelError` already contain the file name, and are left unchanged.
+    """
     try:
         yield
     except ModelError as error:
@@ -108,104 +119,111 @@ def errors_of(path: Path) -> Iterator[None]:
 
 
 def check_name(name: str, what: str) -> None:
-    """Whether a name can stand in a table, a file and a message.
+    """Check that a name has at most MAX_NAME_LENGTH characters and no control characters.
 
     Args:
-        name: As in the file.
-        what: Whose name it is, for the message.
+        name: Name in the file.
+        what: Kind of the name, for the message.
 
     Raises:
-        ModelError: It is too long, or holds characters that control a terminal or are unseen.
+        ModelError: The name is too long, or holds control or invisible characters.
     """
-    if len(name) > LONGEST_NAME:
+    if len(name) > MAX_NAME_LENGTH:
         raise ModelError(
             f"{what} of {len(name)} characters, '{ascii(name[:20])[1:-1]}...'; a name has at most "
-            f"{LONGEST_NAME}"
+            f"{MAX_NAME_LENGTH}"
         )
-    if any(unicodedata.category(letter) in _UNSEEN for letter in name):
+    if any(unicodedata.category(letter) in _CONTROL_CATEGORIES for letter in name):
         raise ModelError(
             f"{what} {name!a:.60} holds control characters; names are plain text"
         )
 
 
-class _Limited(ET.TreeBuilder):
-    """Elements as they come, counted."""
+class _LimitedTreeBuilder(ET.TreeBuilder):
+    """XML tree builder that checks element count, depth, attributes and names."""
 
     def __init__(self) -> None:
         super().__init__()
         self._depth, self._count = 0, 0
 
     def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
-        """An element begins."""
+        """Open an element.
+
+        Raises:
+            ModelError: A limit is exceeded, or a name is malformed.
+        """
         self._depth, self._count = self._depth + 1, self._count + 1
-        if self._depth > DEEPEST:
-            raise ModelError(f"elements stand more than {DEEPEST} deep in each other")
-        if self._count > MOST_ELEMENTS:
-            raise ModelError(f"more than {MOST_ELEMENTS} elements")
-        if len(attrs) > MOST_ATTRIBUTES:
+        if self._depth > MAX_ELEMENT_DEPTH:
             raise ModelError(
-                f"<{tag:.40}> has {len(attrs)} attributes; {MOST_ATTRIBUTES} are the limit"
+                f"elements stand more than {MAX_ELEMENT_DEPTH} deep in each other"
+            )
+        if self._count > MAX_ELEMENTS:
+            raise ModelError(f"more than {MAX_ELEMENTS} elements")
+        if len(attrs) > MAX_ATTRIBUTES:
+            raise ModelError(
+                f"<{tag:.40}> has {len(attrs)} attributes; {MAX_ATTRIBUTES} are the limit"
             )
         for key, value in attrs.items():
-            if key in _NAMES:
+            if key in _NAME_ATTRIBUTES:
                 check_name(value, f"{key} in <{tag:.40}>")
         return super().start(tag, attrs)
 
     def end(self, tag: str) -> ET.Element:
-        """An element ends."""
+        """Close an element."""
         self._depth -= 1
         return super().end(tag)
 
 
-def decimals(text: str, count: int) -> list[float] | None:
-    """So many finite decimal numbers with blanks between and around; None if it is not that.
+def parse_decimals(text: str, count: int) -> list[float] | None:
+    """Parse a given count of finite decimal numbers; return None for any other text.
 
-    One grammar for model files and options alike. Parsers differ in what they let pass: Python
-    takes "1_0" and "nan", urdfdom drops a mass of "3 " without a word.
+    Model files and options share this grammar. Parsers differ in what they accept: Python accepts
+    "1_0" and "nan", and urdfdom ignores a mass of "3 " without a message.
 
     Args:
-        text: As in a file, or as typed.
-        count: How many.
+        text: Numbers separated by blanks.
+        count: Required count of numbers.
     """
     words = text.split()
-    if len(words) != count or any(len(word) > LONGEST_NUMBER for word in words):
+    if len(words) != count or any(len(word) > MAX_NUMBER_LENGTH for word in words):
         return None
-    if not all(_DECIMAL.fullmatch(word) for word in words):
+    if not all(_DECIMAL_PATTERN.fullmatch(word) for word in words):
         return None
     values = [float(word) for word in words]
     return values if all(abs(value) < float("inf") for value in values) else None
 
 
-def plain(values: Iterable[float]) -> str:
-    """Numbers as a file holds them, to the last digit."""
+def format_numbers(values: Iterable[float]) -> str:
+    """Format numbers at full precision, separated by blanks."""
     return " ".join(repr(float(value)) for value in values)
 
 
 @contextmanager
 def capture_stderr() -> Iterator[Callable[[], str]]:
-    """Collect what C++ code writes to standard error; yields a reader of it.
+    """Capture standard error of C++ code; yield a function that returns the captured text.
 
-    What Python writes meanwhile, such as another thread's progress, goes where it did before.
+    Output of Python code, for example progress messages of another thread, is written to the
+    original standard error.
     """
-    ours = sys.stderr
-    ours.flush()
-    saved = os.dup(2)
+    python_stderr = sys.stderr
+    python_stderr.flush()
+    original_descriptor = os.dup(2)
     with (
         tempfile.TemporaryFile() as sink,
-        os.fdopen(saved, "w", encoding="utf-8") as before,
+        os.fdopen(original_descriptor, "w", encoding="utf-8") as original,
     ):
         with suppress(AttributeError, OSError, ValueError):
-            if ours.fileno() == 2:  # a test's or a notebook's is another, or has none
-                sys.stderr = before
+            if python_stderr.fileno() == 2:  # tests and notebooks replace sys.stderr
+                sys.stderr = original
         os.dup2(sink.fileno(), 2)
 
-        def said() -> str:
+        def captured_text() -> str:
             sink.seek(0)
             return sink.read().decode(errors="replace")
 
         try:
-            yield said
+            yield captured_text
         finally:
-            before.flush()
-            os.dup2(saved, 2)
-            sys.stderr = ours
+            original.flush()
+            os.dup2(original_descriptor, 2)
+            sys.stderr = python_stderr

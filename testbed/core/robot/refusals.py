@@ -1,25 +1,26 @@
-"""Errors of model files that a tree cannot express as they are: what is wrong, and what helps."""
+"""Errors for model files that cannot be read as a tree; the messages include remedies."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from testbed.core.base.errors import WIDTH, ModelError, few
+from testbed.core.base.errors import MAX_LIST_WIDTH, ModelError, shortened_list
 
 
 class InertiaError(ModelError):
-    """Links whose inertial parameters no rigid body can have; `flaws` holds one line each."""
+    """Error for physically inconsistent link inertias; `flaws` holds one line per link."""
 
     def __init__(self, source: str, flaws: Sequence[str]) -> None:
         self.flaws = tuple(flaws)
         super().__init__(
-            f"{source}: {few(self.flaws, WIDTH, '; ')}. Correct the file, or take the nearest "
-            "bodies that can be: `testbed new` writes them into an experiment file ([robot.repair])"
+            f"{source}: {shortened_list(self.flaws, MAX_LIST_WIDTH, '; ')}. Correct the file, or "
+            "take the nearest bodies that can be: `testbed new` writes them into an experiment "
+            "file ([robot.repair])"
         )
 
 
 class FreeRootError(ModelError):
-    """The robot's root floats freely; `joint` names the free joint."""
+    """Error for a floating root; `joint` holds the name of the free joint."""
 
     def __init__(self, source: str, joint: str) -> None:
         self.joint = joint
@@ -31,7 +32,7 @@ class FreeRootError(ModelError):
 
 
 class MimicError(ModelError):
-    """Joints that follow others, which a tree cannot express; `masters` by follower."""
+    """Error for mimic joints that are not locked; `masters` maps mimic joints to master joints."""
 
     def __init__(
         self, source: str, masters: Mapping[str, str], hold: Sequence[str]
@@ -39,12 +40,12 @@ class MimicError(ModelError):
         self.masters = dict(masters)
         names = list(dict.fromkeys(hold))
         first, master = next(iter(masters.items()))
-        more = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
+        number = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
         options = " ".join(f"--lock {name}" for name in names[:2]) + " ..." * (
             len(names) > 2
         )
         super().__init__(
-            f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express. "
+            f"{source}: joint '{first}' follows '{master}'{number}, which a tree cannot express. "
             f"{options} holds followed and followers, --lock-mimic followers only (in an "
             "experiment lock and lock_mimic under [robot]; in Python "
             "lock=dict.fromkeys(mimic_joints(path)))"
@@ -52,7 +53,7 @@ class MimicError(ModelError):
 
 
 class LoopError(ModelError):
-    """A constraint that closes a loop, none of a tree; where `joints` along it rest."""
+    """Error for a constraint that closes a loop; `joints` holds rest positions along the loop."""
 
     def __init__(
         self, source: str, constraint: str, joints: Mapping[str, float]

@@ -1,4 +1,4 @@
-"""Bodies that rigid matter can make: what keeps a link from being one, and the nearest one."""
+"""Physical consistency of rigid-body inertias, and the nearest consistent inertia."""
 
 from __future__ import annotations
 
@@ -7,51 +7,62 @@ from numpy.typing import ArrayLike
 
 from testbed.core.robot.inertia import Inertia
 
-ROUNDING = 1e-9
-"""Part of a body's second moments about its frame that is rounding: a point has no others."""
+POINT_MASS_TOLERANCE = 1e-9
+"""Largest ratio of central to total second moments that is attributed to rounding.
+
+Total second moments are those about the origin of the body's frame. A body with a smaller ratio is
+treated as a point mass."""
 
 
-SMALL = 0.1
-"""Radius of gyration of what was a point, in parts of its distance or of the robot's lengths."""
+POINT_MASS_RADIUS_RATIO = 0.1
+"""Radius of gyration assigned to a point mass, relative to its distance or the robot's length."""
 
 
-def nearest_body(body: Inertia, thinnest: float, mass: float, reach: float) -> Inertia:
-    """The nearest body of rigid matter: mass, mass centre and axes stay wherever they can.
+def nearest_consistent_inertia(
+    body: Inertia, min_moment_ratio: float, mass: float, reach: float
+) -> Inertia:
+    """Nearest physically consistent inertia.
 
-    Second moments about the mass centre are the nearest, by the sum of squares of their matrix,
-    of which none is below a least share of the greatest. A body without extent becomes a ball
-    around its mass centre. One without a mass gets one, about its frame's origin.
+    Mass, mass centre and principal axes are left unchanged if possible.
 
-    Source    [WKS18] for the condition; the shares are our own choice.
+    The central second-moment matrix is projected, in the Frobenius norm, onto the matrices whose
+    eigenvalues are at least `min_moment_ratio` times the largest eigenvalue. A point mass becomes a
+    ball around its mass centre, with radius of gyration POINT_MASS_RADIUS_RATIO times its distance
+    from the frame's origin. A massless body gets the mass `mass` at the origin of its frame.
+
+    Source    [WKS18] for the condition; the ratios are our own choice.
 
     Args:
-        body: Such as a file may have it.
-        thinnest: Least principal second moment, as a share of the greatest.
-        mass: Of a body that has none [kg].
-        reach: A length of the robot, for a point at its frame's origin [m].
+        body: Inertia as read from a file, relative to the body's frame.
+        min_moment_ratio: Smallest ratio of a principal second moment to the largest principal
+            second moment.
+        mass: Mass assigned to a massless body [kg].
+        reach: Length of the robot [m], which replaces the distance of a point mass that lies at the
+            origin of its frame.
     """
     if body.mass <= 0:
         body = Inertia(mass, np.zeros(3), body.tensor)
     centre, matrix = body.com, np.array(body.pseudo)
     offset = body.mass * np.outer(centre, centre)
-    size, axes = np.linalg.eigh(matrix[:3, :3] - offset)
-    if size[-1] <= ROUNDING * np.abs(matrix[:3, :3]).max():
-        radius = SMALL * (float(np.linalg.norm(centre)) or reach)
-        size = np.full(3, body.mass * radius**2 / 3)
-    raised = np.maximum(size, thinnest * size[-1])
-    matrix[:3, :3] = axes * raised @ axes.T + offset
+    moments, axes = np.linalg.eigh(matrix[:3, :3] - offset)
+    if moments[-1] <= POINT_MASS_TOLERANCE * np.abs(matrix[:3, :3]).max():
+        radius = POINT_MASS_RADIUS_RATIO * (float(np.linalg.norm(centre)) or reach)
+        moments = np.full(3, body.mass * radius**2 / 3)
+    raised_moments = np.maximum(moments, min_moment_ratio * moments[-1])
+    matrix[:3, :3] = axes * raised_moments @ axes.T + offset
     return Inertia.of_pseudo(matrix)
 
 
 def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:
-    """What keeps a link from being a rigid body, in one line; None if nothing does.
+    """Reason why a link's mass and inertia are physically inconsistent; None if consistent.
 
-    A link without any matter (all ten parameters zero) is no flaw: files use such links
-    as frames.
+    An inertia is consistent if the mass and the principal moments are positive and the moments
+    satisfy the triangle inequality with a relative slack of 1e-9. A link with zero mass and zero
+    inertia is accepted, as files use massless links as frames.
 
     Args:
-        link: The link's name, for the message.
-        mass: [kg].
+        link: Link name, for the message.
+        mass: Mass [kg].
         central: Inertia about the mass centre, (3, 3) [kg m^2].
     """
     tensor = np.asarray(central, dtype=np.float64)

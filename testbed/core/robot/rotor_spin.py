@@ -1,4 +1,4 @@
-"""Contribution of the spin of geared rotors to the minimal parameters."""
+"""Gyroscopic effect of spinning geared rotors, expressed in the bodies' inertias."""
 
 from __future__ import annotations
 
@@ -14,15 +14,20 @@ from testbed.core.robot.tree import Tree
 
 
 def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
-    """The robot whose minimal parameters hold what its rotors' spin adds.
+    """Tree with the angular momentum of spinning rotors added to the bodies' inertias.
+
+    The product of gear ratio and rotor inertia is added to the moment of inertia of the joint's
+    body about the joint axis. The same product is subtracted from this moment of the carrying body
+    and from the joint's `rotor_inertia`. The minimal parameters of the returned tree then include
+    the gyroscopic effect.
 
     Args:
-        tree: The robot, rotors at rest on their carriers.
-        spins: Ratio times inertia of the rotor, by joint name [kg m^2].
+        tree: Robot whose rotors are fixed to the carrying bodies.
+        spins: Products of gear ratio and rotor inertia, keyed by joint name [kg m^2].
 
     Raises:
-        UnknownName: There is no such joint.
-        ModelError: The joint slides: its rotor's momentum is none of the bodies'.
+        UnknownName: No joint has the name.
+        ModelError: A joint is prismatic, so that the bodies cannot represent the spin of its rotor.
     """
     for name, spin in spins.items():
         j = tree.index(name)
@@ -31,13 +36,17 @@ def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
             raise ModelError(
                 f"joint '{name}' slides: the spin of its rotor is not of the bodies"
             )
-        tree = tree.with_inertia(j, _about(joint.axis, spin))
-        tree = tree.with_inertia(joint.parent, _about(joint.carried_axis, -spin))
-        left = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
-        tree = replace(tree, joints=(*tree.joints[:j], left, *tree.joints[j + 1 :]))
+        tree = tree.with_inertia(j, _axial_inertia(joint.axis, spin))
+        tree = tree.with_inertia(
+            joint.parent, _axial_inertia(joint.carried_axis, -spin)
+        )
+        reduced_joint = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
+        tree = replace(
+            tree, joints=(*tree.joints[:j], reduced_joint, *tree.joints[j + 1 :])
+        )
     return tree
 
 
-def _about(axis: Array, size: float) -> Inertia:
-    """Inertia about one axis alone."""
-    return Inertia(0.0, np.zeros(3), size * np.outer(axis, axis))
+def _axial_inertia(axis: Array, moment: float) -> Inertia:
+    """Massless inertia with a moment about a single axis through the frame's origin."""
+    return Inertia(0.0, np.zeros(3), moment * np.outer(axis, axis))

@@ -1,7 +1,7 @@
-"""What the robot is: bodies joined in an open tree on a bedplate.
+"""Robot model: rigid bodies joined in an open kinematic tree on a bedplate.
 
-Body j is carried by body `parents[j]` through joint j; the bedplate is -1; numbering is
-ascending, parents first. Names, orders and data are by joint.
+Joint j connects body j to the carrying body `parents[j]`; the bedplate has the index -1. Parents
+have smaller indices than children. Names and columns of data are in the order of the joints.
 
 Source    [FRS96] section 2: INBODY, T of eq. (1), l^ij of eq. (2)
 """
@@ -18,27 +18,32 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.core.base.arrays import Array, freeze, readonly
+from testbed.core.base.arrays import Array, freeze_arrays, readonly_array
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic
-from testbed.core.base.errors import ModelError, SettingsError, UnknownName, plural
+from testbed.core.base.errors import (
+    ModelError,
+    SettingsError,
+    UnknownName,
+    count_with_noun,
+)
 from testbed.core.base.summary_table import SummaryTable, Value
 from testbed.core.base.transform import Transform
-from testbed.core.robot.gravity import gravity_of
-from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.gravity import parse_gravity
+from testbed.core.robot.inertia import ZERO_INERTIA, Inertia
 
-Kind = Literal["revolute", "prismatic"]
+JointKind = Literal["revolute", "prismatic"]
 
 
-WEAKEST, STRONGEST = 1e-6, 1e4
-"""Magnitudes of gravity that are not a mistake [m/s^2]."""
+MIN_GRAVITY, MAX_GRAVITY = 1e-6, 1e4
+"""Range of plausible magnitudes of nonzero gravity [m/s^2]."""
 
-FARTHEST = 1e6
-"""Lengths beyond this are a mistake [m]."""
+MAX_COORDINATE = 1e6
+"""Largest accepted coordinate of a position in a model file [m]."""
 
-UNIT = 1e-6
-"""How far an axis's length may be from one: rounding in files."""
+AXIS_NORM_TOLERANCE = 1e-6
+"""Largest accepted deviation of an axis vector's length from one, due to rounding in files."""
 
-SETTABLE = (
+SETTABLE_FIELDS = (
     "position_range",
     "max_velocity",
     "max_effort",
@@ -46,36 +51,36 @@ SETTABLE = (
     "viscous",
     "rotor_inertia",
 )
-"""What may be known better than the model file knows it."""
+"""Fields of `Joint` that may be replaced by more accurate values."""
 
 
 @dataclass(frozen=True, eq=False)
 class Joint(Value):
-    """One joint of one degree of freedom, and how its body sits on the carrying body.
+    """Joint with one degree of freedom, and pose of its body on the carrying body.
 
-    x_i = l + A Rot(e, q) x_j for a revolute joint, x_i = l + A (e q + x_j) for a prismatic
-    one. Limits unknown to the file are infinite, losses unknown to it are zero.
+    A point x_j of body j has, in frame i of the carrying body, the coordinates
+    x_i = l + A Rot(e, q) x_j (revolute joint) or x_i = l + A (e q + x_j) (prismatic joint).
+    Limits not stated in the file are infinite, friction and rotor inertia not stated are zero.
 
     Attributes:
-        name: The joint's name in the model file.
-        body: The name of the body it moves.
+        name: Joint name in the model file.
+        body: Name of the body that the joint moves.
         kind: "revolute" or "prismatic".
         parent: Index of the carrying body, -1 for the bedplate.
-        axis: Unit vector e^j, (3,), constant in the frames of both bodies when taken
-            through `rotation`; expressed in body j's frame.
-        offset: l^ij from O^i to the joint's attachment point, (3,) [m], frame i.
-        rotation: A, from frame j at q = 0 to frame i, (3, 3).
-        position_range: Least and greatest position, (2,) [rad or m].
-        max_velocity: [rad/s or m/s].
-        max_effort: Greatest motor effort at the joint side [N m or N].
-        coulomb: Dry friction level [N m or N].
+        axis: Unit vector e^j of the joint axis in body j's frame, (3,).
+        offset: Vector l^ij from O^i to the joint's attachment point, in frame i, (3,) [m].
+        rotation: Rotation matrix A from frame j at q = 0 to frame i, (3, 3).
+        position_range: Lower and upper position limit, (2,) [rad or m].
+        max_velocity: Largest speed [rad/s or m/s].
+        max_effort: Largest motor torque or force at the joint side [N m or N].
+        coulomb: Coulomb friction [N m or N].
         viscous: Viscous friction coefficient [N m s/rad or N s/m].
-        rotor_inertia: Inertia of the drive reflected to the joint side [kg m^2 or kg].
+        rotor_inertia: Rotor inertia reflected to the joint side [kg m^2 or kg].
     """
 
     name: str
     body: str
-    kind: Kind
+    kind: JointKind
     parent: int
     axis: Array
     offset: Array
@@ -88,67 +93,78 @@ class Joint(Value):
     rotor_inertia: float = 0.0
 
     def __post_init__(self) -> None:
-        freeze(self, axis=(3,), offset=(3,), rotation=(3, 3), position_range=(2,))
+        freeze_arrays(
+            self, axis=(3,), offset=(3,), rotation=(3, 3), position_range=(2,)
+        )
 
     @property
     def revolute(self) -> bool:
-        """Whether the joint turns (else it slides)."""
+        """True for a revolute joint, False for a prismatic joint."""
         return self.kind == "revolute"
 
     @property
     def X_PB(self) -> Transform:
-        """Pose of the body's frame B at q = 0 in that of its carrier, the parent P."""
+        """Pose X_PB of body frame B in the carrying body's frame P, at `q = 0`."""
         return Transform(self.rotation, self.offset)
 
     @property
     def carried_axis(self) -> Array:
-        """The joint axis in the carrying body's frame, (3,)."""
+        """Unit vector of the joint axis in the carrying body's frame, (3,)."""
         axis: Array = self.rotation @ self.axis
         return axis
 
     def flaw(self) -> str | None:
-        """What no joint can have, in words that follow "has"; None if there is nothing."""
+        """First invalid property of the joint, as the object of "has"; None if valid."""
         return next(self._flaws(), None)
 
     def _flaws(self) -> Iterator[str]:
-        """The first of them is a flaw in any case; others may follow from it."""
+        """Yield descriptions of invalid placement, axis, limits, friction and rotor inertia.
+
+        The texts are objects of "has"; later texts may be consequences of the first.
+        """
         placement = np.concatenate([self.offset, self.rotation.ravel(), self.axis])
         if not np.isfinite(placement).all():
             yield "a place or axis that is not a number"
-        if not (np.abs(self.offset) <= FARTHEST).all():
-            yield f"a place {np.abs(self.offset).max():.3g} m away; {FARTHEST:g} m is the limit"
-        if abs(np.linalg.norm(self.axis) - 1) > UNIT:
+        if not (np.abs(self.offset) <= MAX_COORDINATE).all():
+            yield (
+                f"a place {np.abs(self.offset).max():.3g} m away; "
+                f"{MAX_COORDINATE:g} m is the limit"
+            )
+        if abs(np.linalg.norm(self.axis) - 1) > AXIS_NORM_TOLERANCE:
             yield f"no direction: its axis is {self.axis.tolist()}"
         low, high = self.position_range
         if not low <= high:
             yield f"a range that ends before it begins: {low:g} to {high:g}"
-        for what in ("coulomb", "viscous", "rotor_inertia"):
-            value = getattr(self, what)
+        for field_name in ("coulomb", "viscous", "rotor_inertia"):
+            value = getattr(self, field_name)
             if not 0 <= value < np.inf:
-                yield f"{what.replace('_', ' ')} {value:g}, which is finite and not negative"
-        for what in ("max_velocity", "max_effort"):
-            value = getattr(self, what)
+                yield f"{field_name.replace('_', ' ')} {value:g}, which is finite and not negative"
+        for field_name in ("max_velocity", "max_effort"):
+            value = getattr(self, field_name)
             if not value > 0:
-                yield f"{what.replace('_', ' ')} {value:g}, which must be positive"
+                yield f"{field_name.replace('_', ' ')} {value:g}, which must be positive"
 
     def with_settings(self, settings: Mapping[str, object]) -> Joint:
-        """The same joint with some of SETTABLE replaced.
+        """Joint with some of SETTABLE_FIELDS replaced.
 
         Args:
-            settings: Values by name: numbers, and two numbers for `position_range`.
+            settings: Values keyed by field name: two numbers for `position_range`, one number for
+                others.
 
         Raises:
-            UnknownName: A name is not in SETTABLE.
-            ModelError: A value is none that a joint can have.
+            UnknownName: A name is not in SETTABLE_FIELDS.
+            ModelError: A value is invalid for a joint.
         """
         values: dict[str, Any] = {}
         for name, value in settings.items():
-            if name not in SETTABLE:
-                raise UnknownName(f"setting of joint '{self.name}'", name, SETTABLE)
+            if name not in SETTABLE_FIELDS:
+                raise UnknownName(
+                    f"setting of joint '{self.name}'", name, SETTABLE_FIELDS
+                )
             shape, form = (
                 ((2,), "two numbers") if name == "position_range" else ((), "a number")
             )
-            numbers = _numbers(value, shape)
+            numbers = _float_array(value, shape)
             if numbers is None:
                 raise ModelError(
                     f"joint '{self.name}': {name} is {form}, found {value!r:.60}"
@@ -163,11 +179,11 @@ class Joint(Value):
 
 @dataclass(frozen=True)
 class Shaft:
-    """One shaft.
+    """Motor shaft coupled to several joints.
 
     Attributes:
-        name: Its name; its friction is called coulomb/NAME.
-        turns: Indices of its joints, and how much it turns with each.
+        name: Shaft name; its friction coefficient is called coulomb/NAME.
+        turns: Pairs of a joint index and the turns of the shaft per turn of this joint.
     """
 
     name: str
@@ -175,14 +191,14 @@ class Shaft:
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
-    """Where a wrench is measured, if not on the bedplate.
+class SensorPlacement:
+    """Pose of a force sensor on a body or on the bedplate.
 
     Attributes:
-        position: Of the sensor's origin in the body's frame, (3,) [m].
-        rotation: From its axes to the body's, (3, 3).
-        name: Of the sensor.
-        body: Index of the body that it moves with, -1 for the bedplate.
+        position: Sensor origin in the body's frame, (3,) [m].
+        rotation: Rotation matrix from sensor axes to body axes, (3, 3).
+        name: Sensor name.
+        body: Index of the body that carries the sensor, -1 for the bedplate.
     """
 
     position: Array
@@ -191,24 +207,25 @@ class Placement:
     body: int = -1
 
     def __post_init__(self) -> None:
-        freeze(self, position=(3,), rotation=(3, 3))
+        freeze_arrays(self, position=(3,), rotation=(3, 3))
 
     @property
     def X_BS(self) -> Transform:
-        """Pose of the sensor S in the body's frame B."""
+        """Pose of the sensor frame S in the body frame B."""
         return Transform(self.rotation, self.position)
 
 
 @dataclass(frozen=True)
 class ModelSource(Value):
-    """A model file, and how it was read.
+    """Path of a model file, and options for reading.
 
     Attributes:
-        path: The MJCF or URDF file.
-        weld_root: Weld a floating root to the bedplate.
-        repair: Bodies in place of those that cannot be, by the link that carries them; {} refuses
-            such a file, None takes the nearest bodies.
-        lock: Joints that are held, and where [rad or m]; None: where the joint rests.
+        path: MJCF or URDF file.
+        weld_root: True to weld a floating root to the bedplate.
+        repair: Replacements for physically inconsistent inertias of lumped bodies, keyed by the
+            link to which the others are fixed; {} rejects inconsistent inertias, None selects the
+            nearest consistent inertias.
+        lock: Positions of locked joints, keyed by name [rad or m]; None for the rest position.
     """
 
     path: Path
@@ -219,42 +236,42 @@ class ModelSource(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree(Diagnosed, Value):
-    """An open tree of bodies on a bedplate.
+    """Open kinematic tree of rigid bodies on a bedplate.
 
     Attributes:
-        name: The robot's name.
-        joints: One joint a body, parents first.
-        inertias: One inertia a body, about and along the body's frame.
-        pedestal: What is welded to the bedplate, in the bedplate frame; known, not moving.
+        name: Robot name.
+        joints: Joints, one per body, parents first.
+        inertias: Inertias, one per body, relative to the body's frame.
+        pedestal: Known inertia of the parts welded to the bedplate, in the bedplate frame.
         gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame.
-        diagnostics: What was accepted on loading although it is wrong.
-        shafts: Motor shafts that turn with several joints.
-        floating: Whether the first six joints are the coordinates of a free base.
-        lead: How many of the first joints, one after the other, move the base, which is the last
-            one's body: the bodies before have no matter. 0 where the bedplate is the base.
-        sensor: Where the wrench is measured, on the base; None for the bedplate.
-        cuts: The next force sensors: what hangs beyond them is no part of the tree, its wrench
-            is measured.
-        bare: Bodies without matter of their own: all of it lies beyond such a sensor.
-        file: The model file that it was read from; None for none.
+        diagnostics: Diagnostics of faults in the model file that were accepted on loading.
+        shafts: Motor shafts coupled to several joints.
+        floating: True if the first six joints are the coordinates of a free base.
+        lead: Number of leading joints, in series, that move the base, the body of the last leading
+            joint; the bodies before are massless. 0 if the bedplate is the base.
+        sensor: Placement of the force sensor on the base; None for the bedplate.
+        cuts: Placements of the next force sensors; the links beyond these sensors are not part of
+            the tree, as their wrench is measured.
+        bare: Indices of bodies without mass, as all their links are beyond a sensor of `cuts`.
+        file: Model file that the tree was read from, if any.
     """
 
     name: str
     joints: tuple[Joint, ...]
     inertias: tuple[Inertia, ...]
-    pedestal: Inertia = NOTHING
+    pedestal: Inertia = ZERO_INERTIA
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     diagnostics: tuple[Diagnostic, ...] = ()
     shafts: tuple[Shaft, ...] = ()
     floating: bool = False
     lead: int = 0
-    sensor: Placement | None = None
-    cuts: tuple[Placement, ...] = ()
+    sensor: SensorPlacement | None = None
+    cuts: tuple[SensorPlacement, ...] = ()
     bare: tuple[int, ...] = ()
     file: ModelSource | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, gravity=(3,))
+        freeze_arrays(self, gravity=(3,))
         if len(self.joints) != len(self.inertias):
             raise ValueError(
                 f"{len(self.joints)} joints carry {len(self.inertias)} inertias"
@@ -267,59 +284,64 @@ class Tree(Diagnosed, Value):
 
     def __repr__(self) -> str:
         joints = ", ".join(f"{each.name} ({each.kind})" for each in self.joints)
-        return f"<Tree {self.name!r}, {plural(self.n, 'joint')}: {joints}>"
+        return f"<Tree {self.name!r}, {count_with_noun(self.n, 'joint')}: {joints}>"
 
     @property
     def summary(self) -> SummaryTable:
-        """Joints, their kinds, and their bodies with masses."""
+        """Table of joints with kinds, bodies and masses, for display."""
         rows = [
             (joint.name, joint.kind, joint.body, f"{body.mass:.4g} kg")
             for joint, body in zip(self.joints, self.inertias, strict=True)
         ]
-        return SummaryTable(f"{self.name}: {plural(self.n, 'joint')}", tuple(rows))
+        return SummaryTable(
+            f"{self.name}: {count_with_noun(self.n, 'joint')}", tuple(rows)
+        )
 
     @property
     def n(self) -> int:
-        """Number of moving bodies, which is the number of joints."""
+        """Number of joints, equal to the number of moving bodies."""
         return len(self.joints)
 
     @property
     def massless(self) -> int:
-        """How many of the first bodies have no matter: those that lead to a base that moves."""
+        """Number of massless leading bodies between the bedplate and a moving base."""
         return max(self.lead - 1, 0)
 
     @property
     def is_part(self) -> bool:
-        """Whether it is what lies between force sensors, not the whole robot."""
+        """True for a segment between force sensors, False for a whole robot."""
         return self.sensor is not None or bool(self.cuts)
 
     @property
     def sensor_body(self) -> int:
-        """Index of the body that what measures the wrench moves with, -1 for the bedplate."""
+        """Index of the body that carries the wrench sensor, -1 for the bedplate."""
         return -1 if self.sensor is None else self.sensor.body
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Joint names; the order of all columns."""
+        """Joint names, in the order of all data columns."""
         return tuple(joint.name for joint in self.joints)
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """INBODY: index of the body that carries each joint, -1 for the bedplate."""
+        """Index of the body that carries each joint (INBODY), -1 for the bedplate."""
         return tuple(joint.parent for joint in self.joints)
 
     @property
     def reach(self) -> Array:
-        """T of [FRS96] eq. (1): T[i, j] = 1 if body i lies on the chain to body j; (n, n)."""
+        """Ancestor matrix T of [FRS96] eq. (1), (n, n).
+
+        T[i, j] = 1 if body i lies on the chain from the bedplate to body j, else 0.
+        """
         reach = np.eye(self.n)
         for j, parent in enumerate(self.parents):
             if parent >= 0:
                 reach[:, j] += reach[:, parent]
-        return readonly(reach, (self.n, self.n), "reach")
+        return readonly_array(reach, (self.n, self.n), "reach")
 
     @cached_property
     def zero_poses(self) -> tuple[Transform, ...]:
-        """Pose X_WB of every body in the bedplate frame W at q = 0."""
+        """Pose X_WB of each body in the bedplate frame W at q = 0."""
         poses: list[Transform] = []
         for joint in self.joints:
             X_PB = joint.X_PB
@@ -327,49 +349,54 @@ class Tree(Diagnosed, Value):
         return tuple(poses)
 
     def gravity_or(self, gravity: ArrayLike | None) -> Array:
-        """The given gravity, or the model file's if None, (3,) [m/s^2], bedplate frame.
+        """Checked gravity vector in the bedplate frame, (3,) [m/s^2].
+
+        Args:
+            gravity: Three numbers [m/s^2], a text for `parse_gravity`, or None for the tree's
+                gravity.
 
         Raises:
-            ModelError: It is not three finite numbers.
-            SettingsError: It is a text, and none of `MOUNTINGS`.
+            ModelError: The value is not three finite numbers, or its magnitude is neither zero nor
+                between MIN_GRAVITY and MAX_GRAVITY.
+            SettingsError: The text is neither three numbers nor a key of GRAVITY_BY_MOUNTING.
         """
-        vector = _numbers(
-            gravity_of(self.gravity if gravity is None else gravity), (3,)
+        vector = _float_array(
+            parse_gravity(self.gravity if gravity is None else gravity), (3,)
         )
         if vector is None or not np.isfinite(vector).all():
             raise ModelError(
                 f"gravity is three finite numbers [m/s^2], found {gravity!s:.60}"
             )
-        size = math.hypot(*vector)  # overflows and vanishes only where numbers do
-        if vector.any() and not WEAKEST <= size <= STRONGEST:
+        size = math.hypot(*vector)  # hypot avoids overflow and underflow of squares
+        if vector.any() and not MIN_GRAVITY <= size <= MAX_GRAVITY:
             raise ModelError(
-                f"gravity of {size:.3g} m/s^2 is outside {WEAKEST:g} ... {STRONGEST:g}; "
+                f"gravity of {size:.3g} m/s^2 is outside {MIN_GRAVITY:g} ... {MAX_GRAVITY:g}; "
                 "0 0 0 is weightlessness"
             )
-        return readonly(vector, (3,), "gravity")
+        return readonly_array(vector, (3,), "gravity")
 
     def with_gravity(self, gravity: ArrayLike | None) -> Tree:
-        """The same tree under another gravity.
+        """Tree with another gravity vector.
 
         Args:
-            gravity: (3,) [m/s^2], bedplate frame; None leaves the model file's.
+            gravity: Gravity in the bedplate frame, (3,) [m/s^2]; None for the tree's gravity.
 
         Raises:
-            ModelError: It is not three finite numbers, or no gravity there is.
+            ModelError: The value is invalid for `gravity_or`.
         """
         return replace(self, gravity=self.gravity_or(gravity))
 
     def with_joints(self, settings: Mapping[str, Mapping[str, object]]) -> Tree:
-        """The same tree with limits, friction or rotor inertias that the model file lacks.
+        """Tree with limits, friction or rotor inertias of some joints replaced.
 
         Args:
-            settings: By joint name, what is to be replaced: `position_range` (two numbers),
-                `max_velocity`, `max_effort`, `coulomb`, `viscous`, `rotor_inertia`; units as
-                in Joint.
+            settings: New values, keyed by joint name, then by field: `position_range` (two
+                numbers), `max_velocity`, `max_effort`, `coulomb`, `viscous`, `rotor_inertia`; units
+                as in `Joint`.
 
         Raises:
-            UnknownName: There is no such joint, or no such setting.
-            ModelError: A value is none that a joint can have.
+            UnknownName: No joint or no field has the name.
+            ModelError: A value is invalid for a joint.
         """
         joints = list(self.joints)
         for name, values in settings.items():
@@ -378,18 +405,19 @@ class Tree(Diagnosed, Value):
         return replace(self, joints=tuple(joints))
 
     def children(self, body: int) -> tuple[int, ...]:
-        """Bodies carried directly by `body` (-1: by the bedplate)."""
+        """Indices of the bodies carried directly by `body`; -1 is the bedplate."""
         return self._children.get(body, ())
 
     @cached_property
     def _children(self) -> dict[int, tuple[int, ...]]:
+        """Indices of the directly carried bodies, keyed by carrying body; -1 is the bedplate."""
         carried: dict[int, tuple[int, ...]] = {}
         for j, joint in enumerate(self.joints):
             carried[joint.parent] = (*carried.get(joint.parent, ()), j)
         return carried
 
     def chain(self, body: int) -> tuple[int, ...]:
-        """The bodies from the bedplate's child up to and including `body`; () for -1."""
+        """Indices of the bodies from the bedplate to `body`, inclusive; () for -1."""
         links: list[int] = []
         while body >= 0:
             links.append(body)
@@ -397,54 +425,55 @@ class Tree(Diagnosed, Value):
         return tuple(reversed(links))
 
     def index(self, name: str) -> int:
-        """Position of the joint called `name`.
+        """Index of the joint with the name `name`.
 
         Raises:
-            UnknownName: There is no such joint.
+            UnknownName: No joint has the name.
         """
         if name not in self.names:
             raise UnknownName("joint", name, self.names)
         return self.names.index(name)
 
-    def with_inertia(self, link: int, more: Inertia) -> Tree:
-        """The same tree with more on one link.
+    def with_inertia(self, body: int, addition: Inertia) -> Tree:
+        """Tree with an inertia added to one body.
 
         Args:
-            link: Index of the body, -1 for the bedplate.
-            more: What is added, about and along the body's frame.
+            body: Index of the body, -1 for the bedplate.
+            addition: Added inertia, relative to the body's frame.
         """
-        if link < 0:
-            return replace(self, pedestal=self.pedestal + more)
-        bodies = [
-            body + more if k == link else body for k, body in enumerate(self.inertias)
+        if body < 0:
+            return replace(self, pedestal=self.pedestal + addition)
+        inertias = [
+            inertia + addition if k == body else inertia
+            for k, inertia in enumerate(self.inertias)
         ]
-        return replace(self, inertias=tuple(bodies))
+        return replace(self, inertias=tuple(inertias))
 
     def without_friction(self) -> Tree:
-        """The same tree with joints that do not rub."""
+        """Tree with zero Coulomb and viscous friction in all joints."""
         joints = tuple(
             replace(joint, coulomb=0.0, viscous=0.0) for joint in self.joints
         )
         return replace(self, joints=joints)
 
     def without_inertias(self) -> Tree:
-        """The same tree with no masses and no friction: all that an estimator may know."""
+        """Tree with zero body inertias, friction and rotor inertias, and unchanged geometry."""
         joints = tuple(
             replace(joint, rotor_inertia=0.0)
             for joint in self.without_friction().joints
         )
-        return replace(self, inertias=(NOTHING,) * self.n, joints=joints)
+        return replace(self, inertias=(ZERO_INERTIA,) * self.n, joints=joints)
 
 
 def require_tree(value: object, call: str) -> None:
-    """Refuse a first argument that is no robot.
+    """Raise an error if the first argument of a function is not a `Tree`.
 
     Args:
-        value: The argument.
-        call: The call, as "identify(robot, data)".
+        value: First argument.
+        call: Text of the call, for example "identify(robot, data)".
 
     Raises:
-        SettingsError: Says what it is instead.
+        SettingsError: The value is of another type.
     """
     if not isinstance(value, Tree):
         kind = type(value).__name__
@@ -455,10 +484,10 @@ def require_tree(value: object, call: str) -> None:
         )
 
 
-def _numbers(value: object, shape: tuple[int, ...]) -> Array | None:
-    """Numbers of a shape, as they come from files and callers; None if they are none.
+def _float_array(value: object, shape: tuple[int, ...]) -> Array | None:
+    """Array of floats of a required shape; None for NaN, booleans, texts and other shapes.
 
-    NaN is no number here, infinity is one.
+    Infinity is accepted.
     """
     kinds = {type(part) for part in (value if isinstance(value, list | tuple) else ())}
     if kinds & {bool, str, bytes} or isinstance(value, bool | str | bytes):

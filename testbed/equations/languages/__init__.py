@@ -1,4 +1,4 @@
-"""Equations as text: the paper's notation, LaTeX, Python and C.
+"""Equations as text: the notation of [FRS96], LaTeX, Python and C.
 
 In: expressions.
 Out: text.
@@ -13,29 +13,29 @@ from typing import Any, Literal
 from testbed.core.base.errors import UnknownName
 from testbed.equations.equations import Listing
 from testbed.equations.languages.c import c
-from testbed.equations.languages.latex import latex, paper
-from testbed.equations.languages.python import python
+from testbed.equations.languages.latex import write_latex, write_paper_notation
+from testbed.equations.languages.python import write_python
 
 Language = Literal["paper", "latex", "python", "c"]
 
 WRITERS: dict[Language, Callable[[Listing, str], str]] = {
-    "paper": paper,
-    "latex": latex,
-    "python": python,
+    "paper": write_paper_notation,
+    "latex": write_latex,
+    "python": write_python,
     "c": c,
 }
 
 
 def write_equations(listing: Listing, language: Language, source: str = "") -> str:
-    """Equations in a language.
+    """Write equations in a notation or programming language.
 
     Args:
         listing: The equations.
         language: "paper", "latex", "python" or "c".
-        source: Where the robot comes from, for the header; any text.
+        source: Origin of the robot model, for the header; any text.
 
     Raises:
-        UnknownName: There is no such language.
+        UnknownName: The language does not exist.
     """
     if language not in WRITERS:
         raise UnknownName("language", language, WRITERS)
@@ -43,13 +43,14 @@ def write_equations(listing: Listing, language: Language, source: str = "") -> s
 
 
 def as_document(listing: Listing, text: str) -> dict[str, Any]:
-    """Equations as a document for programs: their text, parameters and operations.
+    """Equations as a JSON document: text, parameters and operation counts.
 
-    A matrix has the minimal parameters on the barycentric ones; there is none of these themselves.
+    The matrix of each kind of equations maps barycentric to minimal parameters; it is None in the
+    full form.
 
     Args:
         listing: The equations.
-        text: As written.
+        text: The written equations.
     """
     sets = [listing.minimal.get(each.kind.model) for each in listing.equations]
     return {
@@ -62,7 +63,7 @@ def as_document(listing: Listing, text: str) -> dict[str, Any]:
         "equations": {
             each.kind.name: {
                 "shape": each.shape,
-                each.vector: [
+                each.parameter_vector_name: [
                     {"name": p.name, "unit": p.unit} for p in each.parameters
                 ],
                 "matrix": None if minimal is None else minimal.matrix.tolist(),

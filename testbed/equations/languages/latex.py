@@ -1,4 +1,4 @@
-"""Equations as a LaTeX document."""
+"""Equations in the notation of [FRS96], and as a LaTeX document."""
 
 from __future__ import annotations
 
@@ -8,73 +8,85 @@ from testbed.equations.equations import Equations, Listing
 from testbed.equations.expression import (
     Expression,
     Factor,
-    Nature,
+    FactorKind,
     Number,
     angle_labels,
 )
 from testbed.equations.languages.text import (
-    Style,
+    Notation,
     definitions,
     fraction,
-    header,
-    preface,
-    terms,
+    header_and_definitions,
+    header_lines,
+    term_texts,
     used_constants,
     wrap,
 )
 
-STYLE = Style(
+PAPER_STYLE = Notation(
     lambda factor: factor.name.replace("mbar", "mm"), fraction, parameter_first=True
 )
 
 
-def paper(listing: Listing, source: str) -> str:
-    """The paper's notation; arguments as for `write_equations`.
+def write_paper_notation(listing: Listing, source: str) -> str:
+    """Write equations in the notation of [FRS96]; arguments as for `write_equations`.
 
     qp2 and qpp2 are the velocity and acceleration of joint 2, S223 is sin(2 q2 + q3). Lines
-    that begin with * are comments; lines that begin with a blank continue the one before.
+    that begin with * are comments; lines that begin with a blank continue the previous line.
+    Entries of a mass matrix or regressor that are zero are left out.
     """
-    lines = [f"* {line}".rstrip() for line in header(listing, source)]
+    lines = [f"* {line}".rstrip() for line in header_lines(listing, source)]
     lines += [f"* {name} = {value:.12g}" for name, value, _ in used_constants(listing)]
-    lines += _definitions(listing)
+    lines += _definition_lines(listing)
     for each in listing.equations:
         lines += ["", f"* {each.kind.title}"]
         for name, value in each.program.lines:
             if value or len(each.shape) == 1:
-                lines += wrap(f"{name.name} =", terms(value, STYLE), " ")
+                lines += wrap(f"{name.name} =", term_texts(value, PAPER_STYLE), " ")
     return "\n".join(lines) + "\n"
 
 
-def _definitions(listing: Listing) -> list[str]:
-    """What the barycentric parameters stand for, or the minimal ones are made of."""
+def _definition_lines(listing: Listing) -> list[str]:
+    """Lines that define the barycentric or minimal parameters.
+
+    In the full form, the lines define the barycentric parameters. In other forms, they are comments
+    with the formulas of the minimal parameters in terms of the barycentric parameters.
+    """
     lines = []
     if listing.form == "full":
         lines += ["", "* Barycentric masses, moments and tensors"]
         for name, value in listing.definitions:
-            lines += wrap(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
-    made = [f"* {line}" for line in definitions(listing)]
-    return [*lines, "", *made] if made else lines
+            lines += wrap(
+                f"{name.replace('mbar', 'mm')} =", term_texts(value, PAPER_STYLE), " "
+            )
+    definition_lines = [f"* {line}" for line in definitions(listing)]
+    return [*lines, "", *definition_lines] if definition_lines else lines
 
 
-def line(value: Expression) -> str:
-    """One expression in the paper's notation."""
-    return " ".join(terms(value, STYLE))
+def expression_line(value: Expression) -> str:
+    """Expression as one line in the notation of [FRS96]."""
+    return " ".join(term_texts(value, PAPER_STYLE))
 
 
 TERMS_PER_LINE = 3
-"""Terms of an equation that stand on one line of a page."""
+"""Number of terms of an equation on one line of a page."""
 
-_COORDINATES = {
-    Nature.POSITION: "q",
-    Nature.VELOCITY: r"\dot q",
-    Nature.ACCELERATION: r"\ddot q",
+_COORDINATE_SYMBOLS = {
+    FactorKind.POSITION: "q",
+    FactorKind.VELOCITY: r"\dot q",
+    FactorKind.ACCELERATION: r"\ddot q",
 }
-_GREEK = {"phi": r"\phi", "w": r"\omega", "wd": r"\dot\omega", "zdd": r"\ddot z"}
+_LATEX_SYMBOLS = {
+    "phi": r"\phi",
+    "w": r"\omega",
+    "wd": r"\dot\omega",
+    "zdd": r"\ddot z",
+}
 
 
-def latex(listing: Listing, source: str) -> str:
-    """A document for pdflatex, one display an equation; arguments as for `write_equations`."""
-    lines = [f"% {line}".rstrip() for line in preface(listing, source)]
+def write_latex(listing: Listing, source: str) -> str:
+    """Write equations as a document for pdflatex; arguments as for `write_equations`."""
+    lines = [f"% {line}".rstrip() for line in header_and_definitions(listing, source)]
     lines += [
         r"\documentclass{article}",
         r"\usepackage{amsmath}",
@@ -83,68 +95,95 @@ def latex(listing: Listing, source: str) -> str:
     lines += [r"\begin{document}"]
     if listing.constants:
         values = [
-            f"{_name(c.name)} &= {_number(v)}"
+            f"{_latex_name(c.name)} &= {_latex_number(v)}"
             for c, v in sorted(listing.constants.items())
         ]
         lines += [r"\begin{align*}", " \\\\\n".join(values), r"\end{align*}"]
     for each in listing.equations:
         lines += [rf"\section*{{{each.kind.name.replace('-', ' ').capitalize()}}}"]
-        lines += [r"\begin{align*}", _equations(each, listing.tree.n), r"\end{align*}"]
+        lines += [
+            r"\begin{align*}",
+            _equation_rows(each, listing.tree.n),
+            r"\end{align*}",
+        ]
     return "\n".join([*lines, r"\end{document}"]) + "\n"
 
 
-def _equations(each: Equations, joints: int) -> str:
-    labels = {p.symbol: p.label.stem for p in each.parameters if p.symbol}
-    known = {
+def _equation_rows(each: Equations, joints: int) -> str:
+    """Rows of an align environment for one kind of equations, with three terms per row.
+
+    Entries of a mass matrix or regressor that are zero are left out.
+
+    Args:
+        each: Equations of the kind.
+        joints: Number of joints.
+    """
+    labels = {p.symbol: p.label.without_multiple for p in each.parameters if p.symbol}
+    names = {
         symbol: rf"\left({label.latex}\right)" if len(label.terms) > 1 else label.latex
         for symbol, label in labels.items()
     }
-    style = Style(
-        lambda factor: known.get(factor) or _factor(factor, joints),
-        _number,
+    style = Notation(
+        lambda factor: names.get(factor) or _latex_factor(factor, joints),
+        _latex_number,
         r"\,",
-        power=_power,
+        power=_latex_power,
     )
     lines = []
     for label, value in each.program.lines:
         if value or len(each.shape) == 1:
-            pieces = terms(value, style)
+            pieces = term_texts(value, style)
             rows = range(0, len(pieces), TERMS_PER_LINE)
-            broken = (
+            text_rows = (
                 " ".join(pieces[first : first + TERMS_PER_LINE]) for first in rows
             )
-            lines.append(f"{_name(label.name)} ={{}}& " + " \\\\\n&".join(broken))
+            lines.append(
+                f"{_latex_name(label.name)} ={{}}& " + " \\\\\n&".join(text_rows)
+            )
     return " \\\\\n".join(lines) or "0 ={}& 0"
 
 
-def _power(name: str, times: int) -> str:
+def _latex_power(name: str, exponent: int) -> str:
+    """Power of a name in LaTeX."""
     base = f"({name})" if "^" in name else name
-    return f"{base}^{{{times}}}" if times > 1 else name
+    return f"{base}^{{{exponent}}}" if exponent > 1 else name
 
 
-def _number(value: Number) -> str:
-    over, _, under = fraction(value).partition("/")
-    mantissa, _, exponent = over.partition("e")
+def _latex_number(value: Number) -> str:
+    """Number in LaTeX: a fraction, or a mantissa times a power of ten."""
+    numerator, _, denominator = fraction(value).partition("/")
+    mantissa, _, exponent = numerator.partition("e")
     if exponent:
         return rf"{mantissa}\cdot 10^{{{int(exponent)}}}"
-    return rf"\tfrac{{{over}}}{{{under}}}" if under else over
+    return rf"\tfrac{{{numerator}}}{{{denominator}}}" if denominator else numerator
 
 
-def _factor(factor: Factor, joints: int) -> str:
-    """A coordinate as q_{1}, sine of 2 q2 + q3 as s_{223}, of q2 - q3 as s_{2,-3}."""
-    if factor.nature in _COORDINATES:
-        return rf"{_COORDINATES[factor.nature]}_{{{factor.rank + 1}}}"
-    if factor.nature not in (Nature.COSINE, Nature.SINE) or factor.content is None:
-        return _name(factor.name)
+def _latex_factor(factor: Factor, joints: int) -> str:
+    """Factor in LaTeX: q_{1} for a coordinate, s_{223} for sin(2 q2 + q3).
+
+    The sine of q2 - q3 is s_{2,-3}.
+    """
+    if factor.kind in _COORDINATE_SYMBOLS:
+        return rf"{_COORDINATE_SYMBOLS[factor.kind]}_{{{factor.rank + 1}}}"
+    if (
+        factor.kind not in (FactorKind.COSINE, FactorKind.SINE)
+        or factor.content is None
+    ):
+        return _latex_name(factor.name)
     labels = angle_labels(factor.content, "-")
-    between = "," if joints > 9 or max(map(len, labels)) > 1 else ""
-    letter = "c" if factor.nature is Nature.COSINE else "s"
-    return rf"{letter}_{{{between.join(labels)}}}"
+    separator = "," if joints > 9 or max(map(len, labels)) > 1 else ""
+    letter = "c" if factor.kind is FactorKind.COSINE else "s"
+    return rf"{letter}_{{{separator.join(labels)}}}"
 
 
-def _name(name: str) -> str:
-    """w3x as omega_{3x}, F3x_7 as F_{3x,7}, phi_Q3_mb3z as phi_{Q3,mb3z}."""
-    head = re.split(r"[\d_]", name)[0]
-    below = name[len(head) :].strip("_").replace("_", ",")
-    symbol = _GREEK.get(head) or (head if len(head) == 1 else rf"\mathrm{{{head}}}")
-    return f"{symbol}_{{{below}}}" if below else symbol
+def _latex_name(name: str) -> str:
+    """Name in LaTeX with subscripts, such as omega_{3x} for w3x.
+
+    Likewise, F3x_7 becomes F_{3x,7}, and phi_Q3_mb3z becomes phi_{Q3,mb3z}.
+    """
+    stem = re.split(r"[\d_]", name)[0]
+    subscript = name[len(stem) :].strip("_").replace("_", ",")
+    symbol = _LATEX_SYMBOLS.get(stem) or (
+        stem if len(stem) == 1 else rf"\mathrm{{{stem}}}"
+    )
+    return f"{symbol}_{{{subscript}}}" if subscript else symbol

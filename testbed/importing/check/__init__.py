@@ -1,5 +1,5 @@
-"""Whether a recording can be true of a robot; mappings solved from data.
+"""Plausibility checks of recordings against a robot model, and mappings solved from data.
 
-In: a `Tree` and a `Source`.
-Out: diagnostics with causes, and mappings that correct them.
+Input: a `Tree` and a `Source`.
+Output: diagnostics with causes, and mappings that correct them.
 """

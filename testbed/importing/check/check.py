@@ -1,4 +1,4 @@
-"""A recording held against its robot before anything is estimated."""
+"""Check of a recording against its robot model before any estimation."""
 
 from __future__ import annotations
 
@@ -14,46 +14,55 @@ import numpy as np
 from testbed.core.base.diagnostics import (
     Diagnosed,
     Diagnostic,
-    diagnose,
-    from_json,
+    diagnostics_from_json,
+    make_diagnostic,
 )
 from testbed.core.base.errors import RecordingError
-from testbed.core.base.toml_text import checked
+from testbed.core.base.toml_text import validate_tables
 from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.channels import channel_faults
-from testbed.core.recordings.geometry import geometry
+from testbed.core.recordings.geometry import joint_geometry
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
-from testbed.core.recordings.views import on_its_base
+from testbed.core.recordings.views import adapt_to_robot
 from testbed.core.robot.tree import Tree
-from testbed.importing.check.assessment import MOST_SAMPLES, Assessment, assess
-from testbed.importing.check.instants import middle
-from testbed.importing.check.recording_diagnostics import (
-    clocked,
-    encoder_steps,
-    unknown_gains,
+from testbed.importing.check.assessment import (
+    MAX_CHECKED_SAMPLES,
+    Assessment,
+    assess_recording,
 )
-from testbed.importing.check.remedies import with_lines
+from testbed.importing.check.instants import middle_part
+from testbed.importing.check.recording_diagnostics import (
+    check_assumed_gains,
+    encoder_step_diagnostics,
+    signals_to_align,
+)
+from testbed.importing.check.remedies import mapping_with_lines
 from testbed.importing.check.search import Progress
-from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
-from testbed.importing.convert import pieces
-from testbed.importing.import_report import in_mapping
+from testbed.importing.check.time_offset import (
+    TimeOffset,
+    alignment_lines,
+    time_offsets,
+)
+from testbed.importing.convert import import_recordings
+from testbed.importing.import_report import mapping_advice
 from testbed.importing.mapping import Mapping
 
-RESTS = 5e-3
-"""By how much a base that is welded may seem to move [m]."""
+MAX_BASE_MOTION = 5e-3
+"""Largest apparent motion of a welded base [m]."""
 
-METHOD = 4
-"""Of the check; another number and what was kept counts no more."""
+METHOD_VERSION = 4
+"""Version of the check; stored results of other versions are not reused."""
 
 
 @dataclass(frozen=True)
 class CheckReport(Diagnosed):
-    """What a recording held against its robot shows.
+    """Result of the check of a recording before import.
 
     Attributes:
-        offsets: How late torques and wrench are.
-        diagnostics: What may be wrong, what the data leave open, and signals that are late.
+        offsets: Time offsets of torques and wrench.
+        diagnostics: Possible errors, properties that the data leave undetermined, and delayed
+            signals.
     """
 
     offsets: tuple[TimeOffset, ...] = ()
@@ -61,24 +70,24 @@ class CheckReport(Diagnosed):
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """Recordings that a mapping makes, and what is known of the longest of them.
+class PreparedRecordings:
+    """Recordings made with a mapping, and the assessment of the longest recording.
 
     Attributes:
-        recordings: In the order of time.
-        cuts: Where a source was silent for too long.
-        assessment: Of the longest; None where it was not assessed.
-        offsets: How late its torques and its wrench are; None where that is not known.
+        recordings: Recordings in chronological order.
+        gap_diagnostics: Diagnostics of gaps at which the data were cut.
+        assessment: Assessment of the longest recording; None if not assessed.
+        time_offsets: Time offsets of torques and wrench in the longest recording; None if unknown.
     """
 
     recordings: tuple[Recording, ...]
-    cuts: list[Diagnostic]
+    gap_diagnostics: list[Diagnostic]
     assessment: Assessment | None = None
-    offsets: Sequence[TimeOffset] | None = None
+    time_offsets: Sequence[TimeOffset] | None = None
 
     @property
     def longest(self) -> Recording:
-        """The recording of the most samples."""
+        """Recording with the most samples."""
         return max(self.recordings, key=lambda each: each.samples)
 
 
@@ -89,60 +98,72 @@ def check_recording(
     align: bool = False,
     unchecked: bool = False,
     progress: Progress | None = None,
-    prepared: Prepared | None = None,
+    prepared: PreparedRecordings | None = None,
 ) -> CheckReport:
-    """Hold a recording against its robot; one that keeps a verdict is not held again.
+    """Check a recording against its robot, unless a stored result is still valid.
+
+    A result in the recording's metadata is valid if the `digest` of data, mapping and robot is
+    unchanged. Delays of torques and wrench are estimated after the search for errors.
 
     Args:
-        tree: The robot, its masses right within a factor of a few.
-        source: The recording.
-        align: Whether clocks are set right besides: a late plate does not stop then.
-        unchecked: Whether to accept it without a search for what is wrong.
-        progress: Called with how much of the search is done.
-        prepared: What is known of the recording already.
+        tree: Robot, with masses that are right within a factor of a few.
+        source: Recording.
+        align: True if clocks are corrected afterwards: a force plate whose only error is a delay is
+            then accepted.
+        unchecked: True to accept the recording without the search for errors.
+        progress: Callback with the number of fitted hypotheses.
+        prepared: Results already known for the recording.
 
     Raises:
-        RecordingError: The recording cannot be true of this robot; says what would make it right.
+        RecordingError: The recording contradicts this robot, and the message lists corrections; or
+            the base moves in the recording but is welded in the model.
     """
-    source = on_its_base(source, tree)
-    doubts = [] if tree.floating else [*_base_motion(source)]
-    if doubts and not unchecked:
-        raise RecordingError(str(doubts[0]))
-    doubts += [*encoder_steps(source), *unknown_gains(source)]
-    known = prepared or Prepared((), [])
+    source = adapt_to_robot(source, tree)
+    diagnostics = [] if tree.floating else [*_base_motion_diagnostics(source)]
+    if diagnostics and not unchecked:
+        raise RecordingError(str(diagnostics[0]))
+    diagnostics += [*encoder_step_diagnostics(source), *check_assumed_gains(source)]
+    results = prepared or PreparedRecordings((), [])
     if unchecked:
-        doubts.append(diagnose("recording.unchecked"))
+        diagnostics.append(make_diagnostic("recording.unchecked"))
         faults = channel_faults(source)
     else:
         verdict = source.metadata.verdict
         if verdict.get("of") == digest(tree, source):
-            return CheckReport(diagnostics=from_json(verdict.get("diagnostics", [])))
-        assessment = known.assessment or assess(tree, source, progress)
-        assessment.require(align=align)
-        doubts += [each for each in assessment.diagnostics if each.level != "error"]
-        faults = assessment.faults
-    offsets = known.offsets
-    if any(each.code == "robot.rest" for each in doubts):
+            return CheckReport(
+                diagnostics=diagnostics_from_json(verdict.get("diagnostics", []))
+            )
+        assessment = results.assessment or assess_recording(tree, source, progress)
+        assessment.raise_errors(align=align)
+        diagnostics += [
+            each for each in assessment.diagnostics if each.level != "error"
+        ]
+        faults = assessment.channel_faults
+    offsets = results.time_offsets
+    if any(each.code == "robot.rest" for each in diagnostics):
         offsets = ()  # without a motion there is no delay
     if offsets is None:
-        offsets = time_offsets(tree, source, clocked(source, faults))
+        offsets = time_offsets(tree, source, signals_to_align(source, faults))
     for each in offsets:
-        if each.matters:
-            lines = in_mapping(_alignment([each], source))
-            doubts.append(
+        if each.is_significant:
+            lines = mapping_advice(_alignment_lines([each], source))
+            diagnostics.append(
                 each.diagnostic(f"{lines}, or import with --model and --align")
             )
-    return CheckReport(tuple(offsets), tuple(doubts))
+    return CheckReport(tuple(offsets), tuple(diagnostics))
 
 
-def _base_motion(source: Source) -> Iterator[Diagnostic]:
-    """What is wrong where a base moves and the robot's is taken as welded."""
+def _base_motion_diagnostics(source: Source) -> Iterator[Diagnostic]:
+    """Yield a diagnostic if a base welded in the model moves by over 5 mm.
+
+    The motion is measured by the diagonal of the box that contains all positions of the base.
+    """
     if "base" not in source.signals:
         return
-    base = middle(source, MOST_SAMPLES).measured("base")
+    base = middle_part(source, MAX_CHECKED_SAMPLES).measured("base")
     distance = float(np.linalg.norm(np.ptp(base[:, :3], axis=0)))
-    if distance > RESTS:
-        yield diagnose("recording.base-moves", "the base", distance)
+    if distance > MAX_BASE_MOTION:
+        yield make_diagnostic("recording.base-moves", "the base", distance)
 
 
 def import_and_check(
@@ -152,81 +173,91 @@ def import_and_check(
     align: bool = False,
     unchecked: bool = False,
     progress: Progress | None = None,
-    prepared: Prepared | None = None,
+    prepared: PreparedRecordings | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:
-    """Recordings made by a mapping file, the longest of which is held against its robot.
+    """Import the recordings of a mapping file and check the longest one against its robot.
+
+    The result is stored in the metadata of the longest recording, unless `unchecked` is True. If
+    `align` is True and delays or drifts are significant, they are corrected in the mapping, and the
+    files are imported again.
 
     Args:
-        path: The mapping file.
-        robot_of: The robot of a recording, its masses right within a factor of a few, and the
-            recording as its.
-        align: Whether delays and drifts of clocks are taken back.
-        unchecked: Whether to accept them without a search for what is wrong.
-        progress: Called with how much of the search is done.
-        prepared: The recordings, where they were made already.
+        path: Mapping file.
+        robot_of: Function that maps a recording to its robot, with masses that are right within a
+            factor of a few, and to the recording adapted to the robot.
+        align: True to correct delays and drifts of clocks.
+        unchecked: True to accept the recordings without the search for errors.
+        progress: Callback with the number of fitted hypotheses.
+        prepared: Recordings, if already made.
 
     Returns:
-        The recording, or its pieces where a source was silent for too long, with the verdict, and
-        where it was cut; and what it shows before anything is taken back.
+        Recordings (several if a source has long gaps), the longest with the result of the check;
+        diagnostics of the gaps; and the report of the check before clocks are corrected.
 
     Raises:
-        ExperimentError: The mapping is not understood.
-        RecordingError: A file is damaged, or the recording cannot be true of this robot.
+        ExperimentError: The mapping is invalid.
+        RecordingError: A file is damaged, or the recording contradicts this robot.
     """
-    prepared = prepared or Prepared(*pieces(path))
+    prepared = prepared or PreparedRecordings(*import_recordings(path))
     longest = prepared.longest
-    tree, own = robot_of(longest)
+    tree, source = robot_of(longest)
     report = check_recording(
         tree,
-        own,
+        source,
         align=align,
         unchecked=unchecked,
         progress=progress,
         prepared=prepared,
     )
-    lines = _alignment(report.offsets, longest)
+    lines = _alignment_lines(report.offsets, longest)
     if align and lines:
-        mapping = with_lines(longest.metadata.mapping or {}, lines)
-        prepared = Prepared(*pieces(path, checked(Mapping, mapping, str(path))))
+        mapping = mapping_with_lines(longest.metadata.mapping or {}, lines)
+        prepared = PreparedRecordings(
+            *import_recordings(path, validate_tables(Mapping, mapping, str(path)))
+        )
         longest = prepared.longest
-        tree, own = robot_of(longest)
-        late = "recording.delay"  # was just taken back
-        kept = tuple(each for each in report.diagnostics if each.code != late)
-        report = replace(report, diagnostics=kept)
+        tree, source = robot_of(longest)
+        delay_code = "recording.delay"  # just corrected
+        remaining = tuple(
+            each for each in report.diagnostics if each.code != delay_code
+        )
+        report = replace(report, diagnostics=remaining)
     if unchecked:
-        return prepared.recordings, prepared.cuts, report
+        return prepared.recordings, prepared.gap_diagnostics, report
     verdict = {
-        "of": digest(tree, own),
+        "of": digest(tree, source),
         "diagnostics": [each.as_dict() for each in report.diagnostics],
     }
-    held = replace(longest, metadata=replace(longest.metadata, verdict=verdict))
-    recordings = tuple(
-        held if each is longest else each for each in prepared.recordings
+    checked_recording = replace(
+        longest, metadata=replace(longest.metadata, verdict=verdict)
     )
-    return recordings, prepared.cuts, report
+    recordings = tuple(
+        checked_recording if each is longest else each for each in prepared.recordings
+    )
+    return recordings, prepared.gap_diagnostics, report
 
 
-def _alignment(offsets: Sequence[TimeOffset], source: Source) -> list[Any]:
-    """Lines of a mapping that take offsets back."""
+def _alignment_lines(offsets: Sequence[TimeOffset], source: Source) -> list[Any]:
+    """Lines of a mapping that correct time offsets."""
     mapping, report = source.metadata.mapping or {}, source.metadata.report
-    return [line for each in offsets for line in alignment(each, mapping, report)]
+    return [line for each in offsets for line in alignment_lines(each, mapping, report)]
 
 
 def digest(tree: Tree, source: Source) -> str:
-    """Hash of all that a verdict depends on: the data, what the mapping says, the robot.
+    """SHA-256 hash of data, mapping and robot, on which the result of a check depends.
 
     Args:
-        tree: The robot.
-        source: The recording.
+        tree: Robot.
+        source: Recording.
     """
     facts = [
-        METHOD,
+        METHOD_VERSION,
         source.names,
         source.rate,
         source.samples,
         source.metadata.mapping,
         source.metadata.gravity,
-        {name: asdict(each) for name, each in geometry(tree).items()},
+        {name: asdict(each) for name, each in joint_geometry(tree).items()},
         standard(tree),
         tree.gravity,
         [joint.position_range for joint in tree.joints],
@@ -234,7 +265,7 @@ def digest(tree: Tree, source: Source) -> str:
         tree.floating,
     ]
     text = json.dumps(facts, sort_keys=True, default=np.ndarray.tolist)
-    part = middle(source, MOST_SAMPLES)
+    part = middle_part(source, MAX_CHECKED_SAMPLES)
     signals = [part.time, part.position, part.torque, part.wrench]
     data = [values.tobytes() for values in signals if values is not None]
     return hashlib.sha256(b"".join([text.encode(), *data])).hexdigest()

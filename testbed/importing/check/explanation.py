@@ -1,6 +1,8 @@
-"""A plate by some hypotheses, and how well the robot explains it.
+"""Explanations of a force plate's data by hypotheses, and their cost.
 
-Rows are made once for positions as they are read; the plate is then judged by algebra, by its maps.
+An explanation is a map of the plate's channels together with hypotheses on mapping errors. The
+regressor is computed once for each set of positions; maps of the channels are then compared by
+linear algebra.
 """
 
 from __future__ import annotations
@@ -11,24 +13,32 @@ from functools import cached_property
 
 import numpy as np
 
-from testbed.core.dynamics.newton_euler import linear
+from testbed.core.dynamics.newton_euler import linear_inverse_dynamics
 from testbed.importing.check.instants import Instants
-from testbed.importing.check.plate import WEIGHT, PlateEvidence, PlateExplanation
-from testbed.importing.check.plate_frame import Frame
+from testbed.importing.check.plate import (
+    LOG_RESIDUAL_WEIGHT,
+    PlateEvidence,
+    PlateExplanation,
+)
+from testbed.importing.check.plate_frame import PlateFrame
 from testbed.importing.check.prior import ScaledPrior
-from testbed.importing.check.remedies import Hypothesis, merge, own_joints
+from testbed.importing.check.remedies import (
+    Hypothesis,
+    joints_without_free_base,
+    merge_hypotheses,
+)
 
-APART = 5.0
-"""What each hypothesis must explain, and costs within this are equal [nats]."""
+MIN_HYPOTHESIS_GAIN = 5.0
+"""Log-likelihood ratio that each hypothesis must gain; costs within this are equal [nats]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A plate by some hypotheses: positions, and what the plate then is.
+    """Explanation of a force plate's data by hypotheses on positions and on the plate.
 
     Attributes:
-        fit: Of the positions.
-        plate: By a map of its channels.
+        fit: Fits of the plate's data under hypotheses on positions and clocks.
+        plate: Map of the plate's channels, with its residual and cost.
     """
 
     fit: HypothesisFit
@@ -36,82 +46,90 @@ class Explanation:
 
     @cached_property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """In the order in which they are applied."""
-        return merge((*self.fit.hypotheses, *self.plate.hypotheses))
+        """Hypotheses on positions and on the plate, in the order of application."""
+        return merge_hypotheses((*self.fit.hypotheses, *self.plate.hypotheses))
 
     @property
     def cost(self) -> float:
-        """Minus the logarithm of how likely it is [nats]."""
+        """Negative log likelihood [nats]."""
         return self.plate.cost
 
     @property
-    def price(self) -> float:
-        """Its cost, and what its hypotheses must explain besides [nats]."""
+    def penalised_cost(self) -> float:
+        """Negative log likelihood plus the penalties of the hypotheses [nats].
+
+        Each hypothesis costs `MIN_HYPOTHESIS_GAIN` in addition to the penalty of its kind.
+        """
         penalties = sum(each.penalty for each in self.hypotheses)
-        return self.cost + penalties + APART * self.count
+        return self.cost + penalties + MIN_HYPOTHESIS_GAIN * self.hypothesis_count
 
     @property
-    def count(self) -> int:
-        """How many hypotheses: signs and zeros joint by joint."""
-        own = len(own_joints(self.fit.prior.tree))
-        each = ("position_sign", "zero")
+    def hypothesis_count(self) -> int:
+        """Number of hypotheses; signs and zeros of single joints are counted separately.
+
+        A sign or zero of all joints together counts once.
+        """
+        joint_count = len(joints_without_free_base(self.fit.prior.tree))
+        joint_kinds = ("position_sign", "zero")
         return sum(
-            len(h.joints) if h.kind in each and len(h.joints) < own else 1
+            len(h.joints)
+            if h.kind in joint_kinds and len(h.joints) < joint_count
+            else 1
             for h in self.hypotheses
         )
 
 
-def ranked(explanations: Iterable[Explanation]) -> list[Explanation]:
-    """Explanations, the best first.
+def rank_explanations(explanations: Iterable[Explanation]) -> list[Explanation]:
+    """Sort explanations by increasing penalised cost.
 
     Args:
-        explanations: In any order.
+        explanations: Explanations in any order.
     """
-    return sorted(explanations, key=lambda each: each.price)
+    return sorted(explanations, key=lambda each: each.penalised_cost)
 
 
 class HypothesisFit:
-    """A plate by some hypotheses about positions and clocks, and what fits then.
+    """Fits of a force plate's data under given hypotheses on positions and clocks.
 
     Attributes:
-        prior: The robot.
-        hypotheses: About positions and clocks.
-        instants: Of the recording by these.
-        plate: Evidence of maps of the plate's channels.
+        prior: Prior of the robot's parameters.
+        hypotheses: Hypotheses on positions and clocks.
+        instants: Signals of the recording, corrected according to the hypotheses.
+        plate: Evidence for maps of the plate's channels.
     """
 
     def __init__(
         self,
         prior: ScaledPrior,
-        frame: Frame,
+        frame: PlateFrame,
         hypotheses: tuple[Hypothesis, ...],
         instants: Instants,
     ) -> None:
-        """Rows of the plate.
+        """Compute the regressor of the wrench with respect to all barycentric parameters.
 
         Args:
-            prior: The robot.
-            frame: How the mapping has read the plate.
-            hypotheses: About positions and clocks.
-            instants: Of the recording by these.
+            prior: Prior of the robot's parameters.
+            frame: Frame and units of the plate according to the mapping.
+            hypotheses: Hypotheses on positions and clocks.
+            instants: Signals of the recording, corrected according to the hypotheses.
         """
         self.prior, self.hypotheses, self.instants = prior, hypotheses, instants
         tree = prior.tree
         theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-        base_rows = linear(tree, instants.motion, theta)[1]
+        base_rows = linear_inverse_dynamics(tree, instants.motion, theta)[1]
         self.plate = PlateEvidence(prior, frame, base_rows, instants)
 
     @cached_property
-    def misfit(self) -> float:
-        """About what the best explanation costs, whatever its hypotheses [nats]."""
-        return 3 * WEIGHT * float(np.log(self.plate.least))
+    def approximate_cost(self) -> float:
+        """Approximate cost of the best fit over all linear maps of the plate [nats]."""
+        return 3 * LOG_RESIDUAL_WEIGHT * float(np.log(self.plate.least_residual_share))
 
     @cached_property
     def explanations(self) -> list[Explanation]:
-        """All that is open, the positions being as they are."""
+        """Explanations under these hypotheses on positions, one for each of the best plate maps."""
         return [Explanation(self, plate) for plate in self.plate.explanations]
 
     @cached_property
-    def as_read(self) -> Explanation:
-        """The plate as it was read."""
-        return Explanation(self, self.plate.as_read)
+    def explanation_as_read(self) -> Explanation:
+        """Explanation with the plate as recorded, without hypotheses on the plate."""
+        return Explanation(self, self.plate.explanation_as_read)

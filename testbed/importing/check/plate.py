@@ -1,10 +1,9 @@
-"""What a mapping may say of a plate, and how well each explains what the plate has measured.
+"""Hypotheses on a force plate's frame, units and columns, and their fit to its data.
 
-For one order of columns, everything that a mapping says of a plate is a turn, a place, units, and a
-delay. Gauss's and Newton's steps on these (`PlateRows.fit`), from the 24 turns that take axes to
-axes, all at once, end in the least of all turns: none is further than 63 degrees from a start.
-Units are those pairs whose ratio is near; where a turn is near that a person would write, or that
-the mapping says, it is tried.
+For one order of columns, rotation, origin, units and delay define a plate. The rotation is found by
+Gauss-Newton steps (`PlateRows.fit`) that start from the least-squares alignment with the model
+file's wrench (Wahba's problem) and from the mapping's frame. Pairs of units with a similar ratio
+are tried; a rotation near rounded angles, or near the mapping's frame, is rounded to these.
 """
 
 from __future__ import annotations
@@ -20,131 +19,130 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
 from testbed.core.estimation.regression.normal_equations import inverse_and_solution
-from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
-from testbed.importing.check.instants import Instants, delay
-from testbed.importing.check.plate_frame import Frame, unit_ratio
+from testbed.core.robot.rotations import matrix_to_rpy, rotvec_to_matrix, rpy_to_matrix
+from testbed.importing.check.instants import Instants, estimated_delay
+from testbed.importing.check.plate_frame import PlateFrame, unit_ratio
 from testbed.importing.check.plate_map import (
-    LASTS,
-    LATE,
-    RATIO,
-    SHIFT,
-    SLOPES,
-    TURN,
-    WIDE,
+    CORRECTION_SIGMAS,
+    CORRELATION_LENGTH,
+    DELAY_INDEX,
+    MAP_DERIVATIVES,
+    RATIO_INDEX,
+    ROTATION_INDICES,
+    SHIFT_INDICES,
     MapFit,
     PlateRows,
     ridge_regression,
 )
 from testbed.importing.check.prior import ScaledPrior
 from testbed.importing.check.remedies import (
-    STEPS,
+    FRAME_ANGLE_STEPS,
     Hypothesis,
-    exchanges,
+    pair_exchanges,
 )
-from testbed.importing.foreign_table import FORCES, MOMENTS
+from testbed.importing.foreign_table import FORCE_UNITS, MOMENT_UNITS
 
-AS_READ = (0, 1, 2, 3, 4, 5)
+ORDER_AS_READ = (0, 1, 2, 3, 4, 5)
+"""Order of the channels as read."""
 
 PLATE_ORDERS = (
     (3, 4, 5, 0, 1, 2),
-    *exchanges(range(3), 6),
-    *exchanges(range(3, 6), 6),
+    *pair_exchanges(range(3), 6),
+    *pair_exchanges(range(3, 6), 6),
 )
-"""Moments before forces, and two channels exchanged; axes in another order are a turn."""
+"""Moments before forces, and two channels exchanged; other orders of axes are rotations."""
 
-ROUNDS, LARGEST = 7, 0.6
-"""Of Gauss and Newton; their largest step of a turn [rad] and of the ratio's logarithm."""
-
-SNAP = 0.02
-"""Distance of a turn's matrix to one that is plainer from which that is tried."""
-
-NEAR = 0.1
-"""By how much the ratio of gains may be off for a pair of units to be tried."""
-
-SIGMAS = 4.0
-"""By which a turn may be off where a plate is noise."""
-
-WEIGHT = 2.5
-"""Of the logarithm of a channel's unexplained share [nats]: what is left lasts, and is no noise."""
-
-LEAST_LEFT = 1e-4
-"""Share of a channel's variance that models leave at least."""
-
-TINY = 1e-5
-"""Share below which what is left says nothing more."""
-
-ROUGH, MOST_SIZE = 0.35, 1e3
-"""Sigma of the logarithm of a model file's masses; most that their size counts [nats]."""
-
-EXPLAINED = 1e-3
-"""Share below which, noise aside, nothing is odd about a channel."""
-
-UNEXPLAINED = 0.05
-"""Share of a channel that no reading of a right recording leaves, noise aside."""
-
-MIXED, GAP = 3e-3, 10.0
-"""Share that a matrix leaves at most where a plate mixes its channels, and times less than others.
+MAX_ITERATIONS, MAX_STEP = 7, 0.6
+"""Number of Gauss-Newton iterations; largest step of rotation [rad] and of the ratio's logarithm.
 """
 
-SHIFTED, CLEAR = 5e-3, 5.0
-"""Least shift of a plate's frame that is one [m], and its sigmas."""
+SNAP_DISTANCE = 0.02
+"""Frobenius distance of rotation matrices below which rounded angles are tried."""
 
-MOST_MAPS = 40
-"""Maps that are judged together with the torques, the best first."""
+GAIN_TOLERANCE = 0.1
+"""Largest relative error of the ratio of gains for a pair of units to be tried."""
 
-CORRECTIONS, AROUND = 4, 0.15
-"""Steps of Gauss and Newton to a correction; part of the frequencies over which what is left is
-averaged."""
+SNAP_Z_THRESHOLD = 4.0
+"""Distance of rotations, in standard deviations, below which rounded angles are tried."""
 
-FAR = 0.02
-"""Standard deviation from which a place is not known [m]."""
+LOG_RESIDUAL_WEIGHT = 2.5
+"""Weight of the logarithm of a channel's unexplained share in the cost [nats]."""
 
-LOOSEST = 10.0
-"""Times that a prior's sigmas are wider at most, where data depart from it by as many sigmas."""
+MIN_RESIDUAL_SHARE = 1e-4
+"""Least residual share of a channel's variance, for model errors."""
+
+RESIDUAL_SHARE_FLOOR = 1e-5
+"""Unexplained share below which differences are not significant."""
+
+MASS_LOG_SIGMA, MAX_MASS_COST = 0.35, 1e3
+"""Standard deviation of the logarithm of a model file's masses; largest cost of masses [nats]."""
+
+EXPLAINED_SHARE = 1e-3
+"""Unexplained share of a channel, apart from noise, below which the channel is explained."""
+
+UNEXPLAINED_SHARE = 0.05
+"""Unexplained share of a channel, apart from noise, from which the recording is certainly wrong."""
+
+CROSSTALK_SHARE, CROSSTALK_RATIO = 3e-3, 10.0
+"""Largest residual share with a full linear map for crosstalk, and least ratio without the map."""
+
+MIN_SHIFT, SHIFT_Z_THRESHOLD = 5e-3, 5.0
+"""Least shift of a plate's frame [m], and in standard deviations."""
+
+MAX_MAPS = 40
+"""Number of maps that are kept, the best first."""
+
+CORRECTION_ITERATIONS, SMOOTHING_SHARE = 4, 0.15
+"""Number of reweighting iterations; part of the frequencies over which residuals are averaged."""
+
+MAX_ORIGIN_SIGMA = 0.02
+"""Standard deviation above which a coordinate of the origin is not determined [m]."""
+
+MAX_PRIOR_FACTOR = 10.0
+"""Largest factor on a prior's standard deviations, for data that depart from the prior as much."""
 
 MapHypothesis = tuple[tuple[Hypothesis, ...], Array]
-"""Hypotheses about a plate, and the map from the recorded wrench by them, (6, 6)."""
+"""Hypotheses on a plate, and the resulting map from the recorded wrench, (6, 6)."""
 
 
-def best_hypotheses(
-    plate: PlateRows, frame: Frame, order: tuple[int, ...]
+def plate_hypotheses(
+    plate: PlateRows, frame: PlateFrame, order: tuple[int, ...]
 ) -> Iterator[MapHypothesis]:
-    """The turns and units that explain a plate best, its columns in one order.
+    """Yield the rotations and units that best explain a plate, for one order of columns.
 
-    The sense is the sign of what the model file predicts; shift and delay are fitted beside.
-
-    Args:
-        plate: Products of its channels.
-        frame: How the mapping has read it.
-        order: In which column each channel is.
+    Units are within 10 % of the fitted ratio; shift, delay and sense are fitted later for each map.
     """
-    starts = [*_aligned(plate, frame, order), frame.turn]
-    turn, ratio, sigma, _ = min(
-        (_descend(plate, frame, order, start) for start in starts),
+    starts = [*_aligned_rotations(plate, frame, order), frame.rotation]
+    rotation, ratio, sigma, _ = min(
+        (_optimal_rotation(plate, frame, order, start) for start in starts),
         key=lambda each: each[-1],
     )
-    angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(turn)]
-    near = max(SNAP, SIGMAS * sigma)
-    turns = [turn, from_rpy(angles), frame.turn]
-    turns = [each for each in turns if np.linalg.norm(turn - each) < near]
-    for units in product(FORCES, MOMENTS):
-        apart = abs(unit_ratio(units) / (ratio * unit_ratio(frame.units)) - 1)
-        if apart > NEAR and units != frame.units:  # as read always: forces may be noise
-            continue
-        for each in turns:
-            hypotheses = [Hypothesis("plate_order", (), order)] * (order != AS_READ)
+    angles = [
+        round(angle / FRAME_ANGLE_STEPS[-1]) * FRAME_ANGLE_STEPS[-1]
+        for angle in matrix_to_rpy(rotation)
+    ]
+    limit = max(SNAP_DISTANCE, SNAP_Z_THRESHOLD * sigma)
+    rotations = [rotation, rpy_to_matrix(angles), frame.rotation]
+    rotations = [each for each in rotations if np.linalg.norm(rotation - each) < limit]
+    for units in product(FORCE_UNITS, MOMENT_UNITS):
+        gain_error = abs(unit_ratio(units) / (ratio * unit_ratio(frame.units)) - 1)
+        if gain_error > GAIN_TOLERANCE and units != frame.units:
+            continue  # units as read are always tried: forces may be noise
+        for each in rotations:
+            hypotheses = [Hypothesis("plate_order", (), order)] * (
+                order != ORDER_AS_READ
+            )
             hypotheses += [Hypothesis("units", (), units)] * (units != frame.units)
-            if np.linalg.norm(each - frame.turn) > 1e-6:
-                angles = np.round(to_rpy(each), 6).tolist()
+            if np.linalg.norm(each - frame.rotation) > 1e-6:
+                angles = np.round(matrix_to_rpy(each), 6).tolist()
                 hypotheses.append(Hypothesis("turn", (), tuple(angles)))
             yield tuple(hypotheses), frame.map(each, units, order)
 
 
-def _aligned(plate: PlateRows, frame: Frame, order: Sequence[int]) -> Iterator[Array]:
-    """Turns that bring the channels nearest to what the model file predicts, in either sense.
-
-    Wahba's problem.
-    """
+def _aligned_rotations(
+    plate: PlateRows, frame: PlateFrame, order: Sequence[int]
+) -> Iterator[Array]:
+    """Yield least-squares rotations to the model's wrench (Wahba's problem), for both senses."""
     from scipy.spatial.transform import Rotation
 
     channels = (
@@ -154,78 +152,76 @@ def _aligned(plate: PlateRows, frame: Frame, order: Sequence[int]) -> Iterator[A
     )
     vectors, expected = channels.reshape(-1, 3), plate.expected.reshape(-1, 3)
     with warnings.catch_warnings():
-        # of vectors along one line: any turn will do
+        # vectors along one line: any rotation about the line is a solution
         warnings.simplefilter("ignore", UserWarning)
-        both = [
+        rotations = [
             Rotation.align_vectors(expected, sense * vectors)[0]
             for sense in (1.0, -1.0)
         ]
-    yield from (turn.as_matrix() for turn in both)
+    yield from (rotation.as_matrix() for rotation in rotations)
 
 
-def _descend(
-    plate: PlateRows, frame: Frame, order: Sequence[int], turn: Array
+def _optimal_rotation(
+    plate: PlateRows, frame: PlateFrame, order: Sequence[int], rotation: Array
 ) -> tuple[Array, float, float, float]:
-    """The best turn of the frame from a start, (3, 3), by Gauss's and Newton's steps.
+    """Optimal rotation of the frame from a start value, by Gauss-Newton steps.
 
-    Beside it how many times too small its moments are, the turn's largest sigma [rad], and the
-    cost.
+    Returns:
+        Rotation, factor on the moments, largest standard deviation of the rotation [rad], and cost.
     """
-    ratio = plate.gain_ratio(frame.map(frame.turn, frame.units, order))
-    moves = [*TURN, RATIO]
-    for _ in range(ROUNDS):
+    ratio = plate.moment_factor(frame.map(frame.rotation, frame.units, order))
+    indices = [*ROTATION_INDICES, RATIO_INDEX]
+    for _ in range(MAX_ITERATIONS):
         fit = plate.fit(
-            frame.map(turn, frame.units, order, ratio), (*SHIFT, LATE, *moves)
+            frame.map(rotation, frame.units, order, ratio),
+            (*SHIFT_INDICES, DELAY_INDEX, *indices),
         )
-        step = fit.extras[moves]
-        step = step * min(1.0, LARGEST / max(float(np.linalg.norm(step)), LARGEST))
-        turn = from_vector(step[:3]) @ turn
+        step = fit.corrections[indices]
+        step = step * min(1.0, MAX_STEP / max(float(np.linalg.norm(step)), MAX_STEP))
+        rotation = rotvec_to_matrix(step[:3]) @ rotation
         ratio *= float(np.exp(step[3]))
-    cost = float(np.log(fit.unexplained + TINY).sum())
-    return turn, ratio, float(fit.sigma[TURN].max()), cost
+    cost = float(np.log(fit.unexplained + RESIDUAL_SHARE_FLOOR).sum())
+    return rotation, ratio, float(fit.sigma[ROTATION_INDICES].max()), cost
 
 
 @dataclass(frozen=True, eq=False)
 class PlateExplanation:
-    """A plate by some hypotheses.
+    """Explanation of a plate's data by a linear map of its channels.
 
     Attributes:
-        hypotheses: About the plate.
-        map: From the recorded wrench to the bedplate's, (6, 6).
-        late: How late the wrench is [s].
-        unexplained: Part of each channel's variance, (6,).
-        noise: Part of it that is the channels' own noise, (6,).
-        cost: Minus the logarithm of how likely it is [nats].
+        hypotheses: Hypotheses on the plate.
+        map: Map from the recorded wrench to the wrench in the bedplate frame, (6, 6).
+        delay: Delay of the wrench [s].
+        unexplained: Unexplained share of each channel's variance, (6,).
+        noise: Noise share of each channel's variance, (6,).
+        cost: Negative log likelihood [nats].
     """
 
     hypotheses: tuple[Hypothesis, ...]
     map: Array
-    late: float
+    delay: float
     unexplained: Array
     noise: Array
     cost: float
 
-    def explained(self, share: float = EXPLAINED) -> bool:
-        """Whether nothing is odd, noise aside.
-
-        Args:
-            share: Part of a channel's variance that may be left.
-        """
+    def is_explained(self, share: float = EXPLAINED_SHARE) -> bool:
+        """Test whether each channel's unexplained share is below `share` plus 3 times its noise."""
         return bool((self.unexplained < share + 3 * self.noise).all())
 
 
 NO_PLATE = PlateExplanation((), np.eye(6), 0.0, np.zeros(0), np.zeros(0), 0.0)
+"""Explanation of a recording without a force plate."""
 
 
 @dataclass(frozen=True, eq=False)
 class WrenchFit:
-    """A plate's channels at T instants against what the robot can make of them, for a picture.
+    """Channels of a force plate and their best fit at T instants, for a plot.
 
     Attributes:
-        time: (T,) [s].
-        wrench: As it is read, (T, 6) [N, N m].
-        fit: The nearest that base parameters and constants make, (T, 6) [N, N m].
-        unexplained: Part of each channel's variance, (6,).
+        time: Time, (T,) [s].
+        wrench: Wrench as recorded, (T, 6) [N, N m].
+        fit: Best fit with base parameters and constants, (T, 6) [N, N m].
+        unexplained: Unexplained share of each channel's variance, (6,).
     """
 
     time: Array
@@ -235,23 +231,23 @@ class WrenchFit:
 
 
 class PlateEvidence:
-    """How well maps of a plate's channels can be the wrench on this robot; without one, nothing.
+    """Evidence that linear maps of a plate's channels are the wrench on this robot.
 
     Attributes:
-        measured: Whether there is a plate.
-        rows: Of the wrench on all barycentric parameters, (T, 6, 10 n).
+        has_wrench: True if there is a force plate.
+        rows: Regressor of the wrench with respect to barycentric parameters, (T, 6, 10 n).
     """
 
     def __init__(
-        self, prior: ScaledPrior, frame: Frame, rows: Array, instants: Instants
+        self, prior: ScaledPrior, frame: PlateFrame, rows: Array, instants: Instants
     ) -> None:
-        """Products of rows and channels.
+        """Compute the products of regressor and channels.
 
         Args:
-            prior: The robot.
-            frame: How the mapping has read the plate.
-            rows: Of the wrench on all barycentric parameters, (T, 6, 10 n).
-            instants: Of the recording.
+            prior: Prior of the robot's parameters.
+            frame: Frame and units of the plate according to the mapping.
+            rows: Regressor of the wrench with respect to barycentric parameters, (T, 6, 10 n).
+            instants: Low-pass filtered signals of the recording, at T instants.
         """
         self._prior, self._frame, self.rows, self._instants = (
             prior,
@@ -259,188 +255,207 @@ class PlateEvidence:
             rows,
             instants,
         )
-        self.measured = instants.wrench.size > 0
-        if self.measured:
-            self._spread, self._expected = rows @ prior.root, rows @ prior.mean
-            self._products = PlateRows(self._spread, self._expected, instants)
+        self.has_wrench = instants.wrench.size > 0
+        if self.has_wrench:
+            self._columns, self._expected = (
+                rows @ prior.covariance_root,
+                rows @ prior.mean,
+            )
+            self._rows = PlateRows(self._columns, self._expected, instants)
 
     @property
-    def least(self) -> float:
-        """Share that no map can mend."""
-        return self._products.least_share if self.measured else 0.0
+    def least_residual_share(self) -> float:
+        """Residual share with the best linear map of the channels; 0 without a plate."""
+        return self._rows.least_residual_share if self.has_wrench else 0.0
 
-    def mixed(self, unexplained: Array) -> bool:
-        """Whether a matrix of all six channels explains the plate far better than what leaves this.
+    def has_crosstalk(self, unexplained: Array) -> bool:
+        """Test for crosstalk: a full linear map leaves far smaller shares than `unexplained`, (6,).
 
-        Args:
-            unexplained: Part of each channel's variance, (6,).
+        The share must be below `CROSSTALK_SHARE` and below a tenth of the mean of `unexplained`.
         """
-        return self.least < min(MIXED, float(unexplained.mean()) / GAP)
+        return self.least_residual_share < min(
+            CROSSTALK_SHARE, float(unexplained.mean()) / CROSSTALK_RATIO
+        )
 
     @cached_property
     def delay(self) -> tuple[float, float]:
-        """How late the plate is by the model file's masses [s], and times less that is left then.
+        """Delay of the plate from the model file's masses [s], and residual ratio.
 
-        What the masses predict is held against all maps of the channels.
+        The wrench predicted with these masses is fitted by all maps of the channels.
         """
         wrench = self._instants.wrench
         channels = np.hstack([wrench, np.ones((len(wrench), 1))])
-        each = np.einsum("tk,cd->tcdk", channels, np.eye(6)).reshape(
+        columns = np.einsum("tk,cd->tcdk", channels, np.eye(6)).reshape(
             len(channels), 6, -1
         )
-        late, times = delay(each, self._products.expected, self._instants.spacing)
-        return -late, times
+        delay_value, ratio = estimated_delay(
+            columns, self._rows.expected, self._instants.spacing
+        )
+        return -delay_value, ratio
 
     @cached_property
     def explanations(self) -> list[PlateExplanation]:
-        """All that is open: the best turns and units, the columns in their order or in another."""
-        if not self.measured:
+        """Explanations by the best rotations and units, if necessary with other column orders."""
+        if not self.has_wrench:
             return [NO_PLATE]
-        plate, frame = self._products, self._frame
-        several = self._judge(best_hypotheses(plate, frame, AS_READ))
-        if not any(each.explained() for each in several):
-            several += self._judge(
+        plate, frame = self._rows, self._frame
+        explanations = self._ranked_explanations(
+            plate_hypotheses(plate, frame, ORDER_AS_READ)
+        )
+        if not any(each.is_explained() for each in explanations):
+            explanations += self._ranked_explanations(
                 each
                 for order in PLATE_ORDERS
-                for each in best_hypotheses(plate, frame, order)
+                for each in plate_hypotheses(plate, frame, order)
             )
-        return several
+        return explanations
 
-    def _judge(self, hypotheses: Iterable[MapHypothesis]) -> list[PlateExplanation]:
-        """Explanations by maps, a shift and lateness fitted."""
-        several = []
-        for known, each in hypotheses:
-            fit, about = self._products.fit(each), list(known)
-            shift = fit.extras[SHIFT]
-            sigma = float(np.linalg.norm(fit.sigma[SHIFT]))
-            if np.linalg.norm(shift) > max(SHIFTED, CLEAR * sigma):
-                place = np.round(self._frame.place + shift, 4)
-                about.append(Hypothesis("shift", (), tuple(place.tolist())))
-            moved = Transform(p_AB_A=shift).wrench_matrix @ each
-            if fit.size < 0:
-                about.append(Hypothesis("sense"))
-                moved = -moved
-            several.append(self._explanation(about, moved, fit))
-        return sorted(several, key=lambda each: each.cost)[:MOST_MAPS]
+    def _ranked_explanations(
+        self, candidates: Iterable[MapHypothesis]
+    ) -> list[PlateExplanation]:
+        """Up to 40 explanations by maps with fitted shift, delay and sense, sorted by cost."""
+        ranked = []
+        for known, matrix in candidates:
+            fit, hypotheses = self._rows.fit(matrix), list(known)
+            shift = fit.corrections[SHIFT_INDICES]
+            sigma = float(np.linalg.norm(fit.sigma[SHIFT_INDICES]))
+            if np.linalg.norm(shift) > max(MIN_SHIFT, SHIFT_Z_THRESHOLD * sigma):
+                place = np.round(self._frame.origin + shift, 4)
+                hypotheses.append(Hypothesis("shift", (), tuple(place.tolist())))
+            shifted = Transform(p_AB_A=shift).wrench_matrix @ matrix
+            if fit.mass_scale < 0:
+                hypotheses.append(Hypothesis("sense"))
+                shifted = -shifted
+            ranked.append(self._explanation(hypotheses, shifted, fit))
+        return sorted(ranked, key=lambda each: each.cost)[:MAX_MAPS]
 
     def _explanation(
-        self, hypotheses: Sequence[Hypothesis], each: Array, fit: MapFit
+        self, hypotheses: Sequence[Hypothesis], matrix: Array, fit: MapFit
     ) -> PlateExplanation:
-        """Explanation by a map and what it leaves."""
-        size = min((np.log(max(abs(fit.size), 1e-9)) / ROUGH) ** 2, MOST_SIZE)
-        cost = WEIGHT * float(np.log(fit.unexplained + TINY).sum() + size)
-        late = float(fit.extras[LATE])
+        """Explanation by a fitted map, with the cost of residuals and of implausible masses."""
+        mass_cost = min(
+            (np.log(max(abs(fit.mass_scale), 1e-9)) / MASS_LOG_SIGMA) ** 2,
+            MAX_MASS_COST,
+        )
+        cost = LOG_RESIDUAL_WEIGHT * float(
+            np.log(fit.unexplained + RESIDUAL_SHARE_FLOOR).sum() + mass_cost
+        )
+        delay_value = float(fit.corrections[DELAY_INDEX])
         return PlateExplanation(
-            tuple(hypotheses), each, late, fit.unexplained, fit.noise, cost
+            tuple(hypotheses), matrix, delay_value, fit.unexplained, fit.noise, cost
         )
 
     @cached_property
-    def as_read(self) -> PlateExplanation:
-        """The plate as it was read; lateness is nobody's mistake."""
-        if not self.measured:
+    def explanation_as_read(self) -> PlateExplanation:
+        """Explanation of the plate as recorded, with a fitted delay."""
+        if not self.has_wrench:
             return NO_PLATE
-        fit = self._products.fit(np.eye(6), [LATE])
-        if fit.size < 0:  # of negative masses
-            fit = fit._replace(unexplained=np.ones(6), size=0.0)
+        fit = self._rows.fit(np.eye(6), [DELAY_INDEX])
+        if fit.mass_scale < 0:  # negative masses
+            fit = fit._replace(unexplained=np.ones(6), mass_scale=0.0)
         return self._explanation((), np.eye(6), fit)
 
-    def wrench(self, each: PlateExplanation) -> Array:
-        """The bedplate's wrench by an explanation, in time, (T, 6) [N, N m]."""
+    def wrench(self, explanation: PlateExplanation) -> Array:
+        """Wrench in the bedplate frame under an explanation, delay corrected, (T, 6) [N, N m]."""
         data = self._instants
-        return (data.wrench + each.late * data.wrench_rate) @ each.map.T
+        return (data.wrench + explanation.delay * data.wrench_rate) @ explanation.map.T
 
-    def posterior(self, each: PlateExplanation) -> tuple[Array, Array, Array]:
-        """Parameters by the varying part of the wrench, (10 n,), and their sigmas' root, (10 n, k).
+    def posterior(self, explanation: PlateExplanation) -> tuple[Array, Array, Array]:
+        """Posterior of the barycentric parameters from the varying part of the wrench.
 
         Args:
-            each: Of the plate.
+            explanation: Explanation of the plate.
 
         Returns:
-            Besides these what they leave of the wrench, (T, 6) [N, N m].
+            Mean, (10 n,), root of the covariance, (10 n, k), and residual, (T, 6) [N, N m].
         """
-        prior, (departure, root, left) = (
+        prior, (departure, root, residual) = (
             self._prior,
-            self._regression(each, self._spread),
+            self._regression(explanation, self._columns),
         )
-        return prior.mean + prior.root @ departure, prior.root @ root, left
+        return (
+            prior.mean + prior.covariance_root @ departure,
+            prior.covariance_root @ root,
+            residual,
+        )
 
     def residual(
-        self, each: PlateExplanation, columns: Array
+        self, explanation: PlateExplanation, columns: Array
     ) -> tuple[Array, Array, Array]:
-        """Residual, (T, 6), with further columns; their values and sigmas, (k,).
+        """Residual wrench, (T, 6), and values and standard deviations of additional columns, (k,).
 
         Args:
-            each: Of the plate.
-            columns: Of the bedplate's wrench, (T, 6, k).
+            explanation: Explanation of the plate.
+            columns: Additional regressor columns of the wrench, (T, 6, k).
         """
-        values, root, left = self._regression(
-            each, np.concatenate([self._spread, columns], axis=2)
+        values, root, residual = self._regression(
+            explanation, np.concatenate([self._columns, columns], axis=2)
         )
-        others = self._spread.shape[2]
-        return left, values[others:], np.linalg.norm(root[others:], axis=1)
+        count = self._columns.shape[2]
+        return residual, values[count:], np.linalg.norm(root[count:], axis=1)
 
     def _regression(
-        self, each: PlateExplanation, columns: Array
+        self, explanation: PlateExplanation, columns: Array
     ) -> tuple[Array, Array, Array]:
-        """Values of columns, a root of their covariance, and the residual, by an explanation."""
-        wrench = self.wrench(each)
-        share = np.maximum(each.unexplained, LEAST_LEFT) * LASTS
+        """Values of columns, root of their covariance, and residual, under an explanation."""
+        wrench = self.wrench(explanation)
+        share = (
+            np.maximum(explanation.unexplained, MIN_RESIDUAL_SHARE) * CORRELATION_LENGTH
+        )
         sigma = np.sqrt(share * np.maximum(wrench.var(axis=0), 1e-12))
-        rest = wrench - self._expected
-        values, root, left = ridge_regression(columns, rest[..., None], sigma)
-        return values[:, 0], root, left[..., 0]
+        target = wrench - self._expected
+        values, root, residual = ridge_regression(columns, target[..., None], sigma)
+        return values[:, 0], root, residual[..., 0]
 
-    def zero(self, each: PlateExplanation) -> tuple[Array, Array]:
-        """What the plate shows without the robot, and its sigma, (6,) [N, N m].
+    def zero_wrench(self, explanation: PlateExplanation) -> tuple[Array, Array]:
+        """Wrench on the plate without moving bodies, and standard deviation, (6,) [N, N m].
 
-        The robot's share is of the parameters that the varying part of the wrench identifies, with
-        the model file as prior; no motion identifies its weight on a base at rest.
-
-        Args:
-            each: Of the plate.
+        The moving bodies' share is predicted by `posterior`; motion cannot identify their weight.
         """
-        mean, root, _ = self.posterior(each)
-        rest = self.wrench(each) - self.rows @ mean
-        return rest.mean(axis=0), np.linalg.norm(self.rows.mean(axis=0) @ root, axis=1)
+        mean, root, _ = self.posterior(explanation)
+        residual = self.wrench(explanation) - self.rows @ mean
+        return residual.mean(axis=0), np.linalg.norm(
+            self.rows.mean(axis=0) @ root, axis=1
+        )
 
-    def correction(self, each: PlateExplanation) -> tuple[Array, Array]:
-        """What a plate that is right but for little must be moved by.
+    def frame_correction(self, explanation: PlateExplanation) -> tuple[Array, Array]:
+        """Small corrections of a plate's frame, delay and gain ratio, with covariance.
 
-        With a mapping that is right but for little, w = Y delta + b - sum x_e S_e w - late dw/dt +
-        noise: turn, shift, ratio (S_e, `SLOPES`) and delay enter linearly. They are estimated with
-        the parameters, the model file as prior, and w on the right-hand side is what the last step
-        predicts, so that its noise biases nothing. What is left is no white noise: encoders' is
-        differentiated twice, models lack what is slow. So all is done in the cosine transform,
-        where it is uncorrelated, and each frequency of a channel is weighed by what is left around
-        it. A prior from which the data depart counts as much less (`LOOSEST`). A direction of the
-        place that the data do not identify goes to zero.
+        Near the true mapping, the wrench is w = Y delta + b - sum x_e S_e w - delay dw/dt + noise,
+        with regressor Y, parameters delta (prior: model file), constants b, and corrections x_e
+        (S_e: `MAP_DERIVATIVES`); w on the right is the last prediction, so noise causes no bias.
+        Residuals are not white: after a cosine transform, each frequency is weighted by the
+        residuals around it. If data depart from the prior, it is widened (`MAX_PRIOR_FACTOR`); an
+        undetermined origin coordinate is zero.
 
         Args:
-            each: Of the plate, without hypotheses about it.
+            explanation: Explanation of the plate, without hypotheses on the plate.
 
         Returns:
-            Shift (3) [m], delay [s], turn (3) [rad], ratio of moments to forces, relative; in the
-            bedplate's frame, the turn first, (8,). Their covariance, (8, 8).
+            Shift (3) [m], delay [s], rotation (3) [rad], relative ratio of moments to forces, (8,),
+            in the bedplate frame, with the rotation applied first; and their covariance, (8, 8).
         """
         from scipy.fft import dct
 
         data, count = self._instants, len(self._instants.wrench)
         constants = np.broadcast_to(np.eye(6), (count, 6, 6))
-        model = np.concatenate([self._spread, constants], axis=2)
+        model = np.concatenate([self._columns, constants], axis=2)
         model = dct(model, axis=0, norm="ortho")
         wrench, rate = (
             dct(x, axis=0, norm="ortho") for x in (data.wrench, data.wrench_rate)
         )
         target = wrench - dct(self._expected, axis=0, norm="ortho")
-        parameters, moves = slice(self._spread.shape[2]), slice(model.shape[2], None)
-        precision = np.concatenate([np.ones(parameters.stop), np.zeros(6), 1 / WIDE**2])
+        parameters, offsets = slice(self._columns.shape[2]), slice(model.shape[2], None)
+        precision = np.concatenate(
+            [np.ones(parameters.stop), np.zeros(6), 1 / CORRECTION_SIGMAS**2]
+        )
         mean = np.zeros(len(precision))
-        mean[moves][SHIFT] = -self._frame.place
-        left = np.maximum(each.unexplained * data.wrench.var(axis=0), 1e-30)
-        weight, predicted = np.tile(1 / np.sqrt(left), (count, 1)), wrench
-        for _ in range(CORRECTIONS):
-            slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
-            slopes[:, :, LATE] = -rate
+        mean[offsets][SHIFT_INDICES] = -self._frame.origin
+        variance = np.maximum(explanation.unexplained * data.wrench.var(axis=0), 1e-30)
+        weight, predicted = np.tile(1 / np.sqrt(variance), (count, 1)), wrench
+        for _ in range(CORRECTION_ITERATIONS):
+            slopes = -np.einsum("ecd,td->tce", MAP_DERIVATIVES, predicted)
+            slopes[:, :, DELAY_INDEX] = -rate
             columns = np.concatenate([model, slopes], axis=2)
             scaled = (columns * weight[..., None]).reshape(6 * count, -1)
             right = scaled.T @ (target * weight).ravel() + precision * mean
@@ -450,33 +465,36 @@ class PlateEvidence:
             predicted = wrench - residual
             leverage = ((scaled @ covariance) * scaled).sum(axis=1).reshape(count, 6)
             weight = _spectral_weights(residual, leverage)
-            odd = np.abs(values[parameters]).max()
-            precision[parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
-        return self._with_loose_place(values[moves], covariance[moves, moves])
+            deviation = np.abs(values[parameters]).max()
+            precision[parameters] = 1 / np.clip(deviation, 1.0, MAX_PRIOR_FACTOR) ** 2
+        return self._with_known_origin(values[offsets], covariance[offsets, offsets])
 
-    def _with_loose_place(self, moves: Array, covariance: Array) -> tuple[Array, Array]:
-        """Correction with an unknown place at zero, and the others as they are then."""
-        loose = [k for k in SHIFT if covariance[k, k] > FAR**2]
-        gain = np.linalg.solve(covariance[np.ix_(loose, loose)], covariance[loose])
-        return moves - (moves[loose] + self._frame.place[loose]) @ gain, covariance
+    def _with_known_origin(
+        self, values: Array, covariance: Array
+    ) -> tuple[Array, Array]:
+        """Correction with undetermined origin coordinates (sigma > 2 cm) zero, and covariance."""
+        free = [k for k in SHIFT_INDICES if covariance[k, k] > MAX_ORIGIN_SIGMA**2]
+        gain = np.linalg.solve(covariance[np.ix_(free, free)], covariance[free])
+        return values - (values[free] + self._frame.origin[free]) @ gain, covariance
 
-    def wrench_fit(self, each: PlateExplanation) -> WrenchFit:
-        """The channels by an explanation, and what parameters and constants make of them.
-
-        Args:
-            each: Of the plate.
-        """
-        wrench, left = self.wrench(each), self.posterior(each)[2]
+    def wrench_fit(self, explanation: PlateExplanation) -> WrenchFit:
+        """Channels mapped by an explanation, and their best fit with parameters and constants."""
+        wrench, residual = self.wrench(explanation), self.posterior(explanation)[2]
         return WrenchFit(
-            self._instants.motion.t, wrench, wrench - left, each.unexplained
+            self._instants.motion.t, wrench, wrench - residual, explanation.unexplained
         )
 
 
 def _spectral_weights(residual: Array, leverage: Array) -> Array:
-    """One over the sigma of what is left around each frequency of a channel, (T, 6)."""
+    """Inverse standard deviations of residuals around each frequency of a channel, (T, 6).
+
+    Args:
+        residual: Residuals in the cosine transform, (T, 6).
+        leverage: Leverage of each residual, (T, 6).
+    """
     from scipy.ndimage import uniform_filter1d
 
-    around = 1 + int(AROUND * len(residual))
-    free = uniform_filter1d(1 - leverage, around, axis=0)
-    square = uniform_filter1d(residual**2, around, axis=0)
-    return np.asarray(np.sqrt(np.maximum(free, 1e-9) / np.maximum(square, 1e-24)))
+    width = 1 + int(SMOOTHING_SHARE * len(residual))
+    freedom = uniform_filter1d(1 - leverage, width, axis=0)
+    square = uniform_filter1d(residual**2, width, axis=0)
+    return np.asarray(np.sqrt(np.maximum(freedom, 1e-9) / np.maximum(square, 1e-24)))

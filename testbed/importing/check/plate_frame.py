@@ -1,4 +1,4 @@
-"""How a mapping has read a plate: turn, place and units of its sensor."""
+"""Frame and units of a force plate according to a mapping."""
 
 from __future__ import annotations
 
@@ -11,72 +11,78 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
-from testbed.core.robot.rotations import from_rpy
-from testbed.importing.check.remedies import place_of, tables_of
-from testbed.importing.foreign_table import FORCES, MOMENTS, plain
+from testbed.core.robot.rotations import rpy_to_matrix
+from testbed.importing.check.remedies import sensor_placement, signal_tables
+from testbed.importing.foreign_table import FORCE_UNITS, MOMENT_UNITS, canonical_unit
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
-    """Frame and units by which a mapping reads the force plate.
+class PlateFrame:
+    """Frame and units of the force plate according to a mapping.
 
     Attributes:
-        turn: Of the sensor's frame, (3, 3).
-        place: Of its origin, (3,) [m].
-        units: Of forces and moments.
+        rotation: Rotation matrix from the sensor frame to the bedplate frame, (3, 3).
+        origin: Origin of the sensor frame in the bedplate frame, (3,) [m].
+        units: Units of forces and moments.
     """
 
-    turn: Array
-    place: Array
+    rotation: Array
+    origin: Array
     units: tuple[str, str]
 
     @cached_property
-    def map_inverse(self) -> Array:
-        """Matrix from wrenches in the bedplate's frame to the sensor's frame, (6, 6)."""
-        return Transform(self.turn, self.place).inverse.wrench_matrix
+    def wrench_to_sensor(self) -> Array:
+        """Matrix that transforms wrenches from the bedplate frame to the sensor frame, (6, 6)."""
+        return Transform(self.rotation, self.origin).inverse.wrench_matrix
 
     def map(
         self,
-        turn: Array,
+        rotation: Array,
         units: tuple[str, str],
         order: Sequence[int],
         ratio: float = 1.0,
     ) -> Array:
-        """Matrix from wrenches read by this frame to wrenches read by another one, (6, 6).
+        """Matrix that converts wrenches recorded with this frame to another frame, (6, 6).
 
-        Both are along and about the bedplate's frame [N, N m].
+        Both wrenches are expressed in the bedplate frame, about its origin [N, N m].
 
         Args:
-            turn: Of the sensor's frame, (3, 3).
-            units: Of forces and moments.
-            order: In which column each channel is.
-            ratio: Times that moments are larger than in these units.
+            rotation: Rotation matrix of the other sensor frame, (3, 3).
+            units: Units of forces and moments.
+            order: Column index of each channel.
+            ratio: Additional factor on the moments.
         """
-        size = np.repeat([FORCES[units[0]], ratio * MOMENTS[units[1]]], 3)
-        own_size = np.repeat([FORCES[self.units[0]], MOMENTS[self.units[1]]], 3)
+        size = np.repeat([FORCE_UNITS[units[0]], ratio * MOMENT_UNITS[units[1]]], 3)
+        own_size = np.repeat(
+            [FORCE_UNITS[self.units[0]], MOMENT_UNITS[self.units[1]]], 3
+        )
         columns = np.eye(6)[list(order)] * np.outer(size, 1 / own_size)
-        return Transform(turn, self.place).wrench_matrix @ columns @ self.map_inverse
+        return (
+            Transform(rotation, self.origin).wrench_matrix
+            @ columns
+            @ self.wrench_to_sensor
+        )
 
 
-def frame_of(mapping: Mapping[str, Any]) -> Frame:
-    """Frame and units of a mapping's only force plate; else the bedplate's own frame in SI.
+def plate_frame_of(mapping: Mapping[str, Any]) -> PlateFrame:
+    """Frame and units of a mapping's only force plate; otherwise bedplate frame and SI.
 
     Args:
-        mapping: What the recording's mapping file says; empty if it has none.
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
     """
-    tables = tables_of(mapping, "wrench")
+    tables = signal_tables(mapping, "wrench")
     table = next(
         (each for name, each in tables.items() if not name.startswith("plates.")), {}
     )
-    rpy, xyz = place_of(table)
-    force, moment = (plain(each) for each in table.get("units", ("N", "N m")))
-    return Frame(from_rpy(rpy), xyz, (force, moment))
+    rpy, xyz = sensor_placement(table)
+    force, moment = (canonical_unit(each) for each in table.get("units", ("N", "N m")))
+    return PlateFrame(rpy_to_matrix(rpy), xyz, (force, moment))
 
 
 def unit_ratio(units: tuple[str, str]) -> float:
-    """Unit of moments over unit of forces [m].
+    """Ratio of the unit of moments to the unit of forces [m].
 
     Args:
-        units: Of forces and moments.
+        units: Units of forces and moments.
     """
-    return MOMENTS[units[1]] / FORCES[units[0]]
+    return MOMENT_UNITS[units[1]] / FORCE_UNITS[units[0]]

@@ -1,15 +1,15 @@
-"""What a plate's channels can be: one linear map of what was recorded, judged by algebra.
+"""Linear maps from a force plate's channels to the wrench on a robot.
 
-For the right mapping the six channels w, in the bedplate's frame, are linear in ONE set of inertial
-parameters: A w + b = Y(q, q', q'') delta_r at all instants. Units, senses, orders of columns, the
-frame's turn and place, and what an unloaded plate shows are all in A (6x6) and b, and the equation
-is linear in both. So the rows Y, and constants, are projected out once for positions as they are
-read; with the products H of what is left, every A leaves vec(A)' H vec(A). A frame that lies
-elsewhere by r (moments gain r x F), one that is turned a little more, and a wrench that is a little
-late (A dw/dt) are linear as well: they are fitted beside each A, not searched.
+With the right mapping, the six channels w in the bedplate frame are linear in one set of inertial
+parameters: A w + b = Y(q, q', q'') delta_r at all instants. A (6, 6) and b contain units, senses,
+order of columns, rotation and origin of the frame, and the zero of the plate, and the equation is
+linear in both. The regressor columns Y and constants are therefore projected out once, for
+positions as recorded; with H, the products of the residuals, any A leaves the sum of squares
+vec(A)' H vec(A). A shift of the frame by r (moments gain r x F), a small rotation, and a small
+delay of the wrench (A dw/dt) are linear as well: they are fitted for each A instead of searched.
 
-What the least generalized eigenvector of H against the signal's own products G leaves, no mapping
-of a plate can mend.
+The least generalised eigenvalue of H and of G, the products of the signals, is the residual that no
+mapping of a plate can reduce.
 """
 
 from __future__ import annotations
@@ -22,210 +22,237 @@ import numpy as np
 
 from testbed.core.base.arrays import Array, skew
 from testbed.core.estimation.regression.normal_equations import (
-    inverse_root,
+    inverse_square_root,
     unit_diagonal,
 )
 from testbed.importing.check.instants import Instants
 
-LASTS = 10.0
-"""Instants over which what models leave lasts: it is no white noise."""
+CORRELATION_LENGTH = 10.0
+"""Correlation length of residuals in instants, from model errors."""
 
-QUIET = 1e-3
-"""Part of a channel's variance that counts as noise besides its own."""
+MODEL_ERROR_SHARE = 1e-3
+"""Part of a channel's variance that counts as noise in addition to measured noise."""
 
-NOISY, FREE = 0.1, 1e-3
-"""Part of forces' or moments' variance from which they are noise; where neither are, the sigma of
-what is left that leaves parameters free."""
+NOISY_SHARE, FREE_SIGMA = 0.1, 1e-3
+"""Noise share of forces or moments from which they are noisy; and relative standard deviation of
+residuals without noisy channels, which leaves parameters free."""
 
-SILENT = 0.02
-"""Part of the mean variance of forces, or of moments, that a channel counts with at least."""
+MIN_VARIANCE_SHARE = 0.02
+"""Least variance of a channel, relative to the mean variance of forces, or of moments."""
 
-WIDE = np.repeat([0.2, 1.0, 0.02], [3, 4, 1])
-"""Standard deviations of what is fitted before the data: of the place [m], of the delay [s], of the
-turn [rad] and of the ratio."""
+CORRECTION_SIGMAS = np.repeat([0.2, 1.0, 0.02], [3, 4, 1])
+"""Prior standard deviations of the corrections of a map: origin [m], delay [s], rotation [rad],
+ratio."""
 
-LOOSE = 1e-7
-"""Weight of these beside the data where maps are compared."""
+PRIOR_WEIGHT = 1e-7
+"""Weight of this prior in the comparison of maps."""
 
-SHIFT, LATE, TURN, RATIO = [0, 1, 2], 3, [4, 5, 6], 7
-"""Places of what may be fitted beside a map: [m], [s], [rad], moments over forces."""
+SHIFT_INDICES, DELAY_INDEX, ROTATION_INDICES, RATIO_INDEX = [0, 1, 2], 3, [4, 5, 6], 7
+"""Indices of the corrections of a map: shift [m], delay [s], rotation [rad], ratio of moments to
+forces."""
 
 
-def rotation_vector(turn: Array) -> Array:
-    """Of a turn, (3, 3), no longer than pi [rad], (3,)."""
+def rotation_vector(rotation: Array) -> Array:
+    """Rotation vector of a rotation matrix, with a length of at most pi, (3,) [rad].
+
+    Args:
+        rotation: Rotation matrix, (3, 3).
+    """
     from scipy.spatial.transform import Rotation
 
-    return np.asarray(Rotation.from_matrix(turn).as_rotvec())
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
-def _slopes() -> Array:
-    """Derivatives of a map, to be multiplied by it, by what is fitted beside it, (8, 6, 6)."""
-    slopes = np.zeros((8, 6, 6))
-    slopes[SHIFT, 3:, :3] = slopes[TURN, :3, :3] = slopes[TURN, 3:, 3:] = skew(
-        np.eye(3)
-    )
-    slopes[LATE] = np.eye(6)  # of the wrench's derivative
-    slopes[RATIO, 3:, 3:] = np.eye(3)
-    return slopes
+def _map_derivatives() -> Array:
+    """Derivatives of a map with respect to its corrections, as left factors, (8, 6, 6)."""
+    derivatives = np.zeros((8, 6, 6))
+    derivatives[SHIFT_INDICES, 3:, :3] = derivatives[
+        ROTATION_INDICES, :3, :3
+    ] = derivatives[ROTATION_INDICES, 3:, 3:] = skew(np.eye(3))
+    derivatives[DELAY_INDEX] = np.eye(6)  # of the wrench's derivative
+    derivatives[RATIO_INDEX, 3:, 3:] = np.eye(3)
+    return derivatives
 
 
-SLOPES = _slopes()
+MAP_DERIVATIVES = _map_derivatives()
+"""Derivatives of a map by its corrections, as left factors of the map, (8, 6, 6)."""
 
 
 def ridge_regression(
     rows: Array, target: Array, sigma: Array
 ) -> tuple[Array, Array, Array]:
-    """Parameters that explain signals, with any constants, and what they leave.
+    """Linear regression with a Gaussian prior and free constants.
 
-    Where the plate is noise, parameters remain near the model file's.
+    If the plate measures only noise, the parameters remain close to those of the model file.
 
     Args:
-        rows: On the parameters in sigmas of the prior, (T, 6, N).
-        target: Less what the file predicts, (T, 6, k).
-        sigma: Of what is left of the channels, (6,).
+        rows: Regressor of the parameters, scaled by prior standard deviations, (T, 6, N), where T
+            is the number of instants and N the number of parameters.
+        target: Signals with the prediction of the model file subtracted, (T, 6, k).
+        sigma: Standard deviations of the channels' residuals, (6,).
 
     Returns:
-        Departures in sigmas of the prior, (N, k); a root of their covariance, (N, N); what is
-        left, (T, 6, k).
+        Deviations of the parameters in prior standard deviations, (N, k), a square root of their
+        covariance, (N, N), and residuals, (T, 6, k).
     """
     columns = ((rows - rows.mean(axis=0)) / sigma[:, None]).reshape(-1, rows.shape[2])
     varied = target - target.mean(axis=0)
     scaled = (varied / sigma[:, None]).reshape(len(columns), -1)
-    root = inverse_root(columns.T @ columns + np.eye(columns.shape[1]))
+    root = inverse_square_root(columns.T @ columns + np.eye(columns.shape[1]))
     departure = root @ (root.T @ (columns.T @ scaled))
-    left = varied - (columns @ departure).reshape(varied.shape) * sigma[:, None]
-    return departure, root, left
+    residual = varied - (columns @ departure).reshape(varied.shape) * sigma[:, None]
+    return departure, root, residual
 
 
 class MapFit(NamedTuple):
-    """What a map leaves.
+    """Residuals and fitted corrections of a map.
 
     Attributes:
-        unexplained: Part of each channel's variance that no parameters explain, (6,).
-        noise: Part of it that is the channels' own noise, (6,).
-        extras: What was fitted beside the map, zero for the others, (8,).
-        sigma: Of them, if what is left is white, (8,).
-        size: Times what the model file's masses make, by the variance; negative for the other
-            sense.
+        unexplained: Unexplained share of each channel's variance, (6,).
+        noise: Noise share of each channel's variance, (6,).
+        corrections: Corrections of the map, zero if not fitted, (8,).
+        sigma: Standard deviations of the corrections for white residuals, (8,).
+        mass_scale: Ratio of the wrench to the prediction from the model file's masses; negative for
+            the opposite sense.
     """
 
     unexplained: Array
     noise: Array
-    extras: Array
+    corrections: Array
     sigma: Array
-    size: float
+    mass_scale: float
 
 
 class PlateRows:
-    """Products of the plate's channels that are left when the rows are projected out.
+    """Products of a plate's channels, with parameters and constants projected out.
 
     Attributes:
-        expected: The varying wrench by the model file's masses, of size one, (T, 6).
-        weight: What forces and moments are multiplied by for that, (6,).
+        expected: Varying part of the wrench predicted from the model file, scaled to unit size, (T,
+            6), where T is the number of instants.
+        weight: Factors that scale forces and moments to unit size, (6,).
     """
 
     def __init__(self, rows: Array, expected: Array, instants: Instants) -> None:
-        """The products.
+        """Project out the parameters and compute the products.
 
         Args:
-            rows: On the parameters in sigmas of the prior, (T, 6, N).
-            expected: The wrench by the model file's masses, (T, 6) [N, N m].
-            instants: With a wrench.
+            rows: Regressor of the N parameters, scaled by prior standard deviations, (T, 6, N).
+            expected: Wrench predicted from the model file's masses, (T, 6) [N, N m].
+            instants: Low-pass filtered signals, with a wrench.
         """
         varied = expected - expected.mean(axis=0)
-        size = np.sqrt(_halves((varied**2).mean(axis=0)))
+        size = np.sqrt(_force_moment_means((varied**2).mean(axis=0)))
         self.weight = np.repeat(1 / np.where(size > 0, size, 1.0), 3)
         self.expected = varied * self.weight
         self.channels = np.hstack([instants.wrench, instants.wrench_rate])
         self.channels -= self.channels.mean(axis=0)
         self._noise = instants.wrench_noise * len(varied)
         self._covariance = self.channels.T @ self.channels
-        sigma = _sigma(instants)
-        certain = self.expected / sigma**2
-        model = (certain.T @ self.channels * self.weight[:, None]).ravel()
-        self._model = model / (certain * self.expected).sum()
+        sigma = _residual_sigma(instants)
+        weighted = self.expected / sigma**2
+        model = (weighted.T @ self.channels * self.weight[:, None]).ravel()
+        self._model = model / (weighted * self.expected).sum()
         signals = np.einsum("tk,cd->tcdk", self.channels, np.diag(self.weight))
         signals = signals.reshape(len(varied), 6, 72)
-        signals -= self.expected[..., None] * self._model  # of each map's size
+        signals -= (
+            self.expected[..., None] * self._model
+        )  # in proportion to each map's size
         departure, _, signals = ridge_regression(
             rows * self.weight[:, None], signals, sigma
         )
         self._departure = departure.T @ departure
         self._residual = np.einsum("tcx,tcy->cxy", signals, signals, optimize=True)
 
-    def fit(self, each: Array, places: Sequence[int] = (*SHIFT, LATE)) -> MapFit:
-        """What a map leaves, with what is free fitted beside it.
+    def fit(
+        self, matrix: Array, places: Sequence[int] = (*SHIFT_INDICES, DELAY_INDEX)
+    ) -> MapFit:
+        """Fit corrections of a map by least squares, and compute the residuals.
 
         Args:
-            each: From what was recorded to the bedplate's wrench, (6, 6).
-            places: Of what may be fitted.
+            matrix: Map from the recorded wrench to the wrench in the bedplate frame, (6, 6).
+            places: Indices of the corrections to be fitted.
         """
         places = list(places)
-        terms = np.zeros((1 + len(SLOPES), 6, 12))
-        terms[:, :, :6] = [each, *(SLOPES @ each)]
-        terms[1 + LATE] = np.roll(terms[0], 6, axis=1)  # of the wrench's derivative
+        terms = np.zeros((1 + len(MAP_DERIVATIVES), 6, 12))
+        terms[:, :, :6] = [matrix, *(MAP_DERIVATIVES @ matrix)]
+        terms[1 + DELAY_INDEX] = np.roll(
+            terms[0], 6, axis=1
+        )  # of the wrench's derivative
         flat = terms.reshape(-1, 72)[[0, *(1 + np.array(places))]]
         residual = flat @ self._residual @ flat.T  # (6, 1 + k, 1 + k)
-        whole, noise = (
-            _at_least(self._variance(each)),
-            self.weight**2 * (each**2 @ self._noise),
+        variances, noise = (
+            _limited_variance(self._variance(matrix)),
+            self.weight**2 * (matrix**2 @ self._noise),
         )
-        weight = QUIET / (QUIET * whole + noise)
+        weight = MODEL_ERROR_SHARE / (MODEL_ERROR_SHARE * variances + noise)
         total = np.tensordot(weight, residual, 1)
-        total += QUIET / whole.mean() * (flat @ self._departure @ flat.T)
-        inverse = np.linalg.inv(total[1:, 1:] + np.diag(LOOSE / WIDE[places] ** 2))
-        best = np.array([1.0, *(-inverse @ total[1:, 0])])
-        left = residual @ best @ best
-        extras, sigma = np.zeros((2, len(SLOPES)))
-        extras[places] = best[1:]
-        variance = np.diagonal(inverse) * (weight @ left) / (6 * len(self.expected))
+        total += (
+            MODEL_ERROR_SHARE / variances.mean() * (flat @ self._departure @ flat.T)
+        )
+        inverse = np.linalg.inv(
+            total[1:, 1:] + np.diag(PRIOR_WEIGHT / CORRECTION_SIGMAS[places] ** 2)
+        )
+        coefficients = np.array([1.0, *(-inverse @ total[1:, 0])])
+        squares = residual @ coefficients @ coefficients
+        extras, sigma = np.zeros((2, len(MAP_DERIVATIVES)))
+        extras[places] = coefficients[1:]
+        variance = np.diagonal(inverse) * (weight @ squares) / (6 * len(self.expected))
         sigma[places] = np.sqrt(variance)
-        size = float(best @ flat @ self._model)
-        return MapFit(np.maximum(left / whole, 0.0), noise / whole, extras, sigma, size)
+        size = float(coefficients @ flat @ self._model)
+        return MapFit(
+            np.maximum(squares / variances, 0.0), noise / variances, extras, sigma, size
+        )
 
-    def gain_ratio(self, each: Array) -> float:
-        """Times that moments must grow to be as large beside the forces as the model file's.
+    def moment_factor(self, matrix: Array) -> float:
+        """Factor on moments that yields the model file's rms ratio of moments to forces.
 
         Args:
-            each: The map, (6, 6).
+            matrix: Map of the channels, (6, 6).
         """
-        force, moment = _halves(self._variance(each))
+        force, moment = _force_moment_means(self._variance(matrix))
         return float(np.sqrt(force / moment)) if min(force, moment) > 0 else 1.0
 
-    def _variance(self, each: Array) -> Array:
-        """Of each channel after a map, in parts of the model's, (6,)."""
+    def _variance(self, matrix: Array) -> Array:
+        """Variance of each mapped channel, relative to the variance of the model's wrench, (6,)."""
         return np.asarray(
-            self.weight**2 * ((each @ self._covariance[:6, :6]) * each).sum(axis=1)
+            self.weight**2 * ((matrix @ self._covariance[:6, :6]) * matrix).sum(axis=1)
         )
 
     @cached_property
-    def least_share(self) -> float:
-        """What the best of all maps leaves, crosstalk, derivatives of the channels and all."""
+    def least_residual_share(self) -> float:
+        """Least residual share over all linear maps of channels and their derivatives.
+
+        It is the least generalised eigenvalue of the products of residuals and of signals.
+        """
         from scipy.linalg import eigh as generalized
 
-        whole = np.kron(np.diag(self.weight**2), self._covariance).astype(np.float64)
-        scaled, size = unit_diagonal(whole)
+        total = np.kron(np.diag(self.weight**2), self._covariance).astype(np.float64)
+        scaled, size = unit_diagonal(total)
         residual = self._residual.sum(axis=0) / np.outer(size, size)
-        scaled += 1e-10 * np.eye(len(whole))
+        scaled += 1e-10 * np.eye(len(total))
         least = generalized(residual, scaled, eigvals_only=True, subset_by_index=[0, 0])
         return max(float(least[0]), 1e-12)
 
 
-def _sigma(instants: Instants) -> Array:
-    """Of what is left of the channels, in parts of forces or moments, (6,)."""
-    variance = _halves(instants.wrench.var(axis=0))
-    noise = _halves(instants.wrench_noise) / np.maximum(variance, 1e-30)
-    if noise.max() < NOISY:
-        return np.full(6, FREE)
-    return np.repeat(np.sqrt(QUIET + LASTS * noise), 3)
+def _residual_sigma(instants: Instants) -> Array:
+    """Standard deviations of the channels' residuals, relative to forces or moments, (6,).
+
+    They are 1e-3 if the noise is below 10 % of the variance of forces and of moments; otherwise
+    they account for model errors and correlated noise.
+    """
+    variance = _force_moment_means(instants.wrench.var(axis=0))
+    noise = _force_moment_means(instants.wrench_noise) / np.maximum(variance, 1e-30)
+    if noise.max() < NOISY_SHARE:
+        return np.full(6, FREE_SIGMA)
+    return np.repeat(np.sqrt(MODEL_ERROR_SHARE + CORRELATION_LENGTH * noise), 3)
 
 
-def _at_least(variance: Array) -> Array:
-    """Variances of channels, (6,), each at least a part of its neighbours' mean."""
-    mean = np.repeat(_halves(variance), 3)
-    return np.maximum(variance, np.maximum(SILENT * mean, 1e-300))
+def _limited_variance(variance: Array) -> Array:
+    """Variances of channels, (6,), bounded below by 2 % of the mean over forces or moments."""
+    mean = np.repeat(_force_moment_means(variance), 3)
+    return np.maximum(variance, np.maximum(MIN_VARIANCE_SHARE * mean, 1e-300))
 
 
-def _halves(channels: Array) -> Array:
-    """Means of forces' and of moments' values, (2,) of (6,)."""
+def _force_moment_means(channels: Array) -> Array:
+    """Mean over the forces and mean over the moments, (2,), of values for six channels."""
     return np.asarray(channels.reshape(2, 3).mean(axis=1))

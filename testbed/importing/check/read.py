@@ -4,31 +4,31 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from testbed.core.base.errors import RecordingError, few
+from testbed.core.base.errors import RecordingError, shortened_list
 from testbed.core.base.file_kinds import kind_of
-from testbed.core.base.toml_text import checked
+from testbed.core.base.toml_text import validate_tables
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.model_file import file_of
+from testbed.core.robot.model_file import model_file_of
 from testbed.core.robot.tree import Tree, require_tree
-from testbed.importing.check.draft_mapping import draft_mapping, missing
+from testbed.importing.check.draft_mapping import draft_mapping, missing_keys
 from testbed.importing.check.mapping_solution import solve_mapping
-from testbed.importing.convert import import_recording, pieces
+from testbed.importing.convert import import_recording, import_recordings
 from testbed.importing.mapping import Mapping
 
-MAPPING = "mapping.toml"
-"""Name of a mapping file that is not written."""
+MAPPING_NAME = "mapping.toml"
+"""File name of the mapping, which is not written to a file."""
 
 
 def read(path: str | Path, robot: Tree) -> Recording:
     """Read a recording of a robot from a file of any logger.
 
-    What columns are, their units, signs and clock are guessed by their names and solved from the
-    data, as by `testbed new ROBOT --recording LOG`; `metadata` of the recording says how.
+    Columns, units, signs and clocks are guessed from column names and solved from the data, as in
+    `testbed new ROBOT --recording LOG`; `metadata` of the recording lists the results.
 
     Args:
-        path: A recording of testbed (Parquet), a mapping file (TOML), or a log: CSV, MATLAB, HDF5,
-            ROS, and others.
-        robot: The robot, as `load_tree` reads it.
+        path: Recording of testbed (Parquet), mapping file (TOML), or log: CSV, MATLAB, HDF5, ROS,
+            and others.
+        robot: Robot, as returned by `load_tree`.
 
     Raises:
         RecordingError: The file cannot be read, or the data contradict the robot.
@@ -39,20 +39,26 @@ def read(path: str | Path, robot: Tree) -> Recording:
         return import_recording(path).ordered(robot)
     if kind_of(path) == "recording":
         return Recording.load(path).ordered(robot)
-    return _solved(path, robot)
+    return _solved_recording(path, robot)
 
 
-def _solved(path: Path, robot: Tree) -> Recording:
-    """The longest recording that a log holds, its mapping solved."""
-    place = path.parent / MAPPING
-    draft, _, tree = draft_mapping([path], path.parent, file_of(robot))
-    found = solve_mapping(draft, place, tree)
-    if found.refusal is not None:
-        raise found.refusal
-    if lacking := missing(found.draft):
+def _solved_recording(path: Path, robot: Tree) -> Recording:
+    """Longest recording of a log, with its mapping solved from column names and data.
+
+    Raises:
+        RecordingError: Columns or a clock are not found, or the data contradict the robot.
+    """
+    mapping_path = path.parent / MAPPING_NAME
+    draft, _, tree = draft_mapping([path], path.parent, model_file_of(robot))
+    solution = solve_mapping(draft, mapping_path, tree)
+    if solution.error is not None:
+        raise solution.error
+    if empty_keys := missing_keys(solution.draft):
         raise RecordingError(
-            f"'{path}': not found: {few(lacking)}; write them into a mapping file "
+            f"'{path}': not found: {shortened_list(empty_keys)}; write them into a mapping file "
             "(testbed new ROBOT --recording LOG)"
         )
-    made, _ = pieces(place, checked(Mapping, found.draft.content, str(path)))
-    return max(made, key=lambda each: each.samples).ordered(tree)
+    recordings, _ = import_recordings(
+        mapping_path, validate_tables(Mapping, solution.draft.content, str(path))
+    )
+    return max(recordings, key=lambda each: each.samples).ordered(tree)

@@ -1,4 +1,4 @@
-"""What may be wrong with a recording, before anything is estimated."""
+"""Diagnostics of a recording before any estimation: spikes, ranges, rest, plate, mapping."""
 
 from __future__ import annotations
 
@@ -8,276 +8,324 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import components, few, round_significant
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import round_significant, shortened_list, vector_text
 from testbed.core.recordings.channels import ChannelFault
-from testbed.core.recordings.columns import AXES, STILL
+from testbed.core.recordings.columns import MIN_MOTION_RANGE, WRENCH_COMPONENTS
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.explanation import Explanation
 from testbed.importing.check.instants import Instants
-from testbed.importing.check.plate import MIXED, UNEXPLAINED
-from testbed.importing.check.remedies import KINDS, Hypothesis, Remedy, own_joints
-from testbed.importing.import_report import in_mapping
+from testbed.importing.check.plate import CROSSTALK_SHARE, UNEXPLAINED_SHARE
+from testbed.importing.check.remedies import (
+    HYPOTHESIS_KINDS,
+    Hypothesis,
+    Remedy,
+    joints_without_free_base,
+)
+from testbed.importing.import_report import mapping_advice
 
-NOISE_RESTS, ROUNDING = 1e-2, 1e-9
-"""Motion of joints below which noise is no motion [rad or m]; part of a value that a filter's
-rounding changes at most."""
+MAX_NOISE_MOTION, ROUNDING_TOLERANCE = 1e-2, 1e-9
+"""Motion of joints below which noise is no motion [rad or m]; relative change of a constant by the
+rounding of a filter."""
 
-RARE, FEWEST, APART = 1e-3, 5, 3
-"""Part of the samples, and number, that may be spikes; samples after which one is over."""
+SPIKE_SHARE, SPIKE_COUNT, MAX_SPIKE_SAMPLES = 1e-3, 5, 3
+"""Largest share, and number, of samples in spikes; samples after which a spike has ended."""
 
-FAR, LITTLE = 2.0, 1e-2
-"""Ranges of all other samples by which a spike lies outside; part of the largest range of its
-signal's channels that each has at least."""
+OUTLIER_RANGES, MIN_RANGE_SHARE = 2.0, 1e-2
+"""Distance of spikes from the other samples, in ranges of these; and least range of a channel,
+relative to the largest range among the signal's channels."""
 
-SHOWN, WIDE = 60, 110
-"""Characters that spikes, and ranges, may take."""
+SPIKE_TEXT_LENGTH, RANGE_TEXT_LENGTH = 60, 110
+"""Largest number of characters for a list of spikes, and of ranges."""
 
-MOVED = 0.1
-"""Part of a torque's variance that is left where a joint at rest moves indeed."""
+MOVING_RESIDUAL = 0.1
+"""Unexplained share of a torque's variance from which a joint at rest by its position does move."""
 
-NOISY = 3.0
-"""Times a channel's noise that may be left besides."""
+NOISE_FACTOR = 3.0
+"""Factor on a channel's noise share when residuals are compared."""
 
-PULLED = -0.1
-"""Parts of the robot's weight below which a robot weighs less than nothing."""
+MIN_WEIGHT_RATIO = -0.1
+"""Weight on the plate, relative to the robot's weight, below which it is implausibly negative."""
 
-LIGHT = 0.03
-"""Part of the robot's mass below which nobody sees whether a pedestal was weighed."""
+MIN_PEDESTAL_SHARE = 0.03
+"""Mass of a pedestal, relative to the robot's mass, below which the plate's reading does not show
+it."""
 
-DOUBTED, REFUSED = 2.5, 4.0
-"""Times too large or too small, by the model file, from which torques are doubted, and from which
-they are refused: no masses are so wrong."""
+WARNING_FACTOR, ERROR_FACTOR = 2.5, 4.0
+"""Ratios of torques to those of the model file's masses from which a warning, or an error, is
+raised."""
 
-SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
-"""Units a thousand times smaller."""
+THOUSANDTH_UNITS = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
+"""Units a thousand times smaller, by unit."""
 
-CLEARLY = 1.2
-"""Times as much as with the remedies that a channel leaves without, for its share to be said."""
+MIN_IMPROVEMENT = 1.2
+"""Ratio of the unexplained shares without and with the remedies from which they are reported."""
 
 
-def share(part: float) -> str:
-    """A part of a channel's variance as a person reads it.
+def percentage(part: float) -> str:
+    """Share of a channel's variance, formatted as a percentage.
 
     Args:
-        part: 1 for all.
+        part: Share, 1 for 100 %.
     """
     return f"{100 * min(part, 1.0):.3g}%"
 
 
-def spikes(recording: Recording) -> Iterator[Diagnostic]:
-    """Channels with a few samples far outside of all others.
+def check_spikes(recording: Recording) -> Iterator[Diagnostic]:
+    """Yield a diagnostic for each channel with a few samples far outside all others.
+
+    Far means over two ranges beyond the channel's quantiles (0.1 %, or 5 samples, at either end);
+    few means that no two of these samples are 3 samples apart.
 
     Args:
-        recording: Or a part of one.
+        recording: Recording, or a part of it.
     """
     for signal in ("position", "torque", "wrench"):
         if signal not in recording.signals:
             continue
         values = recording.measured(signal)
-        rare = min(max(FEWEST / len(values), RARE), 0.25)
-        low, high = np.quantile(values, [rare, 1 - rare], axis=0)
-        room = FAR * np.maximum(high - low, LITTLE * (high - low).max())
-        outside = (values < low - room) | (values > high + room)
-        lasting = outside[APART:] & outside[:-APART]
+        level = min(max(SPIKE_COUNT / len(values), SPIKE_SHARE), 0.25)
+        low, high = np.quantile(values, [level, 1 - level], axis=0)
+        margin = OUTLIER_RANGES * np.maximum(
+            high - low, MIN_RANGE_SHARE * (high - low).max()
+        )
+        outside = (values < low - margin) | (values > high + margin)
+        lasting = outside[MAX_SPIKE_SAMPLES:] & outside[:-MAX_SPIKE_SAMPLES]
         for k in np.flatnonzero(outside.any(axis=0) & ~lasting.any(axis=0)):
             name = f"the {signal} of '{recording.names[k]}'"
             if signal == "wrench":
-                name = f"the plate's {AXES[k]}"
-            at = np.flatnonzero(outside[:, k])
-            said = few(
-                [f"{values[i, k]:.4g} at {recording.time[i]:.6g} s" for i in at], SHOWN
+                name = f"the plate's {WRENCH_COMPONENTS[k]}"
+            samples = np.flatnonzero(outside[:, k])
+            spike_list = shortened_list(
+                [f"{values[i, k]:.4g} at {recording.time[i]:.6g} s" for i in samples],
+                SPIKE_TEXT_LENGTH,
             )
-            yield diagnose(
-                "channel.spikes", name, len(at), spikes=said, low=low[k], high=high[k]
+            yield make_diagnostic(
+                "channel.spikes",
+                name,
+                len(samples),
+                spikes=spike_list,
+                low=low[k],
+                high=high[k],
             )
 
 
-def out_of_range(tree: Tree, position: Array) -> Iterator[Diagnostic]:
-    """Positions that no joint of this robot can have: beyond its range by as much as that spans.
+def check_position_ranges(tree: Tree, position: Array) -> Iterator[Diagnostic]:
+    """Yield a diagnostic if positions exceed a joint's range by more than the range's width.
 
     Args:
-        tree: The robot.
-        position: (M, n) [rad or m].
+        tree: Robot.
+        position: Joint positions, (M, n) [rad or m].
     """
     low, high = np.array([joint.position_range for joint in tree.joints]).T
-    least, most = position.min(axis=0), position.max(axis=0)
-    room = high - low
-    beyond = np.flatnonzero((least < low - room) | (most > high + room))
-    if not beyond.size:
+    minimum, maximum = position.min(axis=0), position.max(axis=0)
+    width = high - low
+    joints = np.flatnonzero((minimum < low - width) | (maximum > high + width))
+    if not joints.size:
         return
     lines = [
-        f"'{tree.names[k]}' {least[k]:.4g} to {most[k]:.4g} (its range is {low[k]:.4g} to "
+        f"'{tree.names[k]}' {minimum[k]:.4g} to {maximum[k]:.4g} (its range is {low[k]:.4g} to "
         f"{high[k]:.4g} {'rad' if tree.joints[k].revolute else 'm'})"
-        for k in beyond
+        for k in joints
     ]
-    turning = any(tree.joints[k].revolute for k in beyond)
+    turning = any(tree.joints[k].revolute for k in joints)
     cause, unit = ("degrees", "deg") if turning else ("millimetres", "mm")
-    yield diagnose(
+    yield make_diagnostic(
         "position.range",
         "positions",
         len(lines),
         causes=(cause, "motor-side"),
-        ranges=few(lines, WIDE),
+        ranges=shortened_list(lines, RANGE_TEXT_LENGTH),
         unit=unit,
     )
 
 
-def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
-    """A robot that does not move, or else a plate that shows one value throughout.
+def check_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
+    """Yield a diagnostic if the robot does not move, or the plate's wrench is constant.
 
     Args:
-        tree: The robot.
-        instants: Of the recording.
+        tree: Robot.
+        instants: Low-pass filtered signals of the recording.
     """
-    position = instants.motion.q[:, list(own_joints(tree))]
-    moved, wrench = np.ptp(position, axis=0).max(initial=0.0), instants.wrench
-    # in a wrong unit noise may be larger: it changes from instant to instant, as no motion does
+    position = instants.motion.q[:, list(joints_without_free_base(tree))]
+    motion, wrench = np.ptp(position, axis=0).max(initial=0.0), instants.wrench
+    # in a wrong unit noise may be larger; unlike motion, it changes from instant to instant
     noise = (np.diff(position, axis=0).var(axis=0) > position.var(axis=0)).all()
-    if position.size and moved < (NOISE_RESTS if noise else STILL):
-        yield diagnose("robot.rest", "the robot", moved)
+    if position.size and motion < (MAX_NOISE_MOTION if noise else MIN_MOTION_RANGE):
+        yield make_diagnostic("robot.rest", "the robot", motion)
     elif (
-        wrench.size and np.ptp(wrench, axis=0).max() <= ROUNDING * np.abs(wrench).max()
+        wrench.size
+        and np.ptp(wrench, axis=0).max() <= ROUNDING_TOLERANCE * np.abs(wrench).max()
     ):
-        yield diagnose("plate.silent", "the plate", 0.0, wrench=components(wrench[0]))
+        yield make_diagnostic(
+            "plate.silent", "the plate", 0.0, wrench=vector_text(wrench[0])
+        )
 
 
-def still_joints(
+def check_still_joints(
     tree: Tree, instants: Instants, unexplained: Array
 ) -> Iterator[Diagnostic]:
-    """Joints that rest throughout by their positions, those first that their torques say move.
+    """Yield a diagnostic of resting joints whose torques show motion, or of resting joints.
 
     Args:
-        tree: The robot.
-        instants: Of the recording.
-        unexplained: Parts of the torques' variance that are left, (n,) or (0,).
+        tree: Robot.
+        instants: Low-pass filtered signals of the recording.
+        unexplained: Unexplained shares of the torques' variance, (n,) or (0,); above 0.1 a torque
+            shows motion.
     """
     position = instants.motion.q
-    still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < STILL]
-    dead = [k for k in still if unexplained.size and unexplained[k] > MOVED]
-    if dead:
-        yield diagnose("position.still", few([tree.names[k] for k in dead]), len(dead))
+    still = [
+        k
+        for k in joints_without_free_base(tree)
+        if np.ptp(position[:, k]) < MIN_MOTION_RANGE
+    ]
+    moving = [k for k in still if unexplained.size and unexplained[k] > MOVING_RESIDUAL]
+    if moving:
+        yield make_diagnostic(
+            "position.still",
+            shortened_list([tree.names[k] for k in moving]),
+            len(moving),
+        )
     elif still:
-        places = position.mean(axis=0)
-        held = [f"{tree.names[k]} at {places[k]:.4g}" for k in still]
-        yield diagnose("position.held", few(held))
+        positions = position.mean(axis=0)
+        resting = [f"{tree.names[k]} at {positions[k]:.4g}" for k in still]
+        yield make_diagnostic("position.held", shortened_list(resting))
 
 
-def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
-    """A plate that no mapping explains.
+def check_plate_residual(best: Explanation) -> Iterator[Diagnostic]:
+    """Yield a diagnostic if no hypothesis explains the force plate's channels.
+
+    Unexplained variance, beyond 3 times the noise, is a warning above 0.3 % and an error above 5 %.
 
     Args:
-        best: What explains the recording best.
+        best: Best explanation of the recording.
     """
     evidence, plate = best.fit.plate, best.plate
-    if plate.explained(MIXED):
+    if plate.is_explained(CROSSTALK_SHARE):
         return
     shares, noise = plate.unexplained, plate.noise
-    channel = int(np.argmax(shares - NOISY * noise))
-    certain = not plate.explained(UNEXPLAINED)
-    yield diagnose(
-        "plate.crosstalk" if evidence.mixed(shares) else "plate.foreign",
+    channel = int(np.argmax(shares - NOISE_FACTOR * noise))
+    certain = not plate.is_explained(UNEXPLAINED_SHARE)
+    yield make_diagnostic(
+        "plate.crosstalk" if evidence.has_crosstalk(shares) else "plate.foreign",
         "the plate",
         shares[channel],
         level="error" if certain else "warning",
-        channel=AXES[channel],
-        share=share(shares[channel]),
-        mixed=share(evidence.least),
+        channel=WRENCH_COMPONENTS[channel],
+        share=percentage(shares[channel]),
+        mixed=percentage(evidence.least_residual_share),
     )
 
 
-def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Diagnostic]:
-    """A robot that pulls its plate up.
+def check_weight_sign(best: Explanation, tare: Array | None) -> Iterator[Diagnostic]:
+    """Yield a diagnostic of a weight on the plate below -10 % of the robot's weight.
 
     Args:
-        best: What explains the recording best; with a wrench.
-        tare: What the recording says that it shows without the robot, as of `Prior.zero`.
+        best: Best explanation of the recording, which has a wrench.
+        tare: Stated wrench on the plate without the robot, as for `ScaledPrior.zero_wrench`.
     """
     tree = best.fit.prior.tree
     if tree.sensor is not None:
-        return  # it turns with a link: its mean force is no weight
+        return  # a sensor that moves with a link: the mean force is no weight
     carried, force = carried_mass(best, tare)
-    if carried * np.linalg.norm(tree.gravity) < PULLED * best.fit.prior.weight:
-        yield diagnose("plate.weight", "the plate", carried, force=components(force))
+    if (
+        carried * np.linalg.norm(tree.gravity)
+        < MIN_WEIGHT_RATIO * best.fit.prior.weight
+    ):
+        yield make_diagnostic(
+            "plate.weight", "the plate", carried, force=vector_text(force)
+        )
 
 
 def carried_mass(best: Explanation, tare: Array | None) -> tuple[float, Array]:
-    """What a plate carries besides what is known [kg], and the mean force of it, (3,) [N].
+    """Mass [kg] and mean force, (3,) [N], on the plate above its zero wrench.
 
     Args:
-        best: What explains the recording best; with a wrench.
-        tare: As of `negative_weight`.
+        best: Best explanation of the recording, which has a wrench.
+        tare: Stated wrench on the plate without the robot, as for `ScaledPrior.zero_wrench`.
     """
     prior = best.fit.prior
-    force = (best.fit.plate.wrench(best.plate).mean(axis=0) - prior.zero(tare))[:3]
+    force = (best.fit.plate.wrench(best.plate).mean(axis=0) - prior.zero_wrench(tare))[
+        :3
+    ]
     size = float(np.linalg.norm(prior.tree.gravity))
     return (float(-force @ prior.tree.gravity / size**2) if size else 0.0), force
 
 
-def weights(best: Explanation) -> tuple[float, float, float] | None:
-    """The robot with the pedestal in a plate's reading, without it, and by the file [kg].
+def robot_masses(best: Explanation) -> tuple[float, float, float] | None:
+    """Robot masses [kg] measured with and without pedestal, and stated in the model.
 
-    None where the model's pedestal is no weight, or there is no plate.
+    The result is None if the model's pedestal is below 3 % of the robot's mass.
 
     Args:
-        best: What explains the recording best.
+        best: Best explanation of the recording, which has a wrench.
     """
     tree = best.fit.prior.tree
-    file, pedestal = sum(each.mass for each in tree.inertias), tree.pedestal.mass
-    if pedestal < LIGHT * file:
+    file, pedestal_mass = sum(each.mass for each in tree.inertias), tree.pedestal.mass
+    if pedestal_mass < MIN_PEDESTAL_SHARE * file:
         return None
     included, without = (carried_mass(best, tare)[0] for tare in (None, np.zeros(6)))
     return included, without, float(file)
 
 
-def unsaid_pedestal(
+def check_unstated_pedestal(
     best: Explanation, mapping: Mapping[str, Any]
 ) -> Iterator[Diagnostic]:
-    """A plate that seems to be read without the pedestal, of which its mapping says nothing.
+    """Yield a diagnostic if the plate's wrench excludes the pedestal and the mapping omits this.
 
     Args:
-        best: What explains the recording best.
-        mapping: What the recording's mapping file says; empty if it has none.
+        best: Best explanation of the recording.
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
     """
     table = mapping.get("wrench")
-    found = weights(best) if table and not {"pedestal", "tare"} & table.keys() else None
-    if found is not None and removed(*found):
+    masses = (
+        robot_masses(best)
+        if table and not {"pedestal", "tare"} & table.keys()
+        else None
+    )
+    if masses is not None and is_pedestal_removed(*masses):
         pedestal = best.fit.prior.tree.pedestal.mass
-        yield diagnose(
+        yield make_diagnostic(
             "plate.pedestal",
             "the plate",
-            found[0],
+            masses[0],
             pedestal=pedestal,
-            other=found[1],
-            file=found[2],
+            other=masses[1],
+            file=masses[2],
         )
 
 
-def removed(included: float, without: float, file: float) -> bool:
-    """Whether a weight is nearer the model file's without the pedestal in the plate's reading."""
+def is_pedestal_removed(included: float, without: float, file: float) -> bool:
+    """Test whether the measured wrench agrees better with the model's mass without the pedestal.
+
+    Args:
+        included: Mass of the robot if the measured wrench includes the pedestal [kg].
+        without: Mass of the robot if the measured wrench excludes the pedestal [kg].
+        file: Mass of the robot in the model file [kg].
+    """
     ratios = np.maximum([included, without], 1e-9) / file
     return bool(np.diff(np.abs(np.log(ratios)))[0] < 0)
 
 
-def other_zero(remedy: Remedy) -> Diagnostic:
-    """A plate whose zero is another one, and nothing else wrong.
+def plate_zero_diagnostic(remedy: Remedy) -> Diagnostic:
+    """Diagnostic of a force plate whose only error is a shifted zero.
 
     Args:
-        remedy: Of the kind `tare`.
+        remedy: Remedy of the kind `tare`.
     """
-    return diagnose(
+    return make_diagnostic(
         "plate.zero",
         "the plate",
         np.abs(remedy.values).max(),
-        causes=(KINDS["tare"].words,),
-        wrench=components(remedy.values),
-        lines=in_mapping(remedy.lines),
+        causes=(HYPOTHESIS_KINDS["tare"].words,),
+        wrench=vector_text(remedy.values),
+        lines=mapping_advice(remedy.lines),
     )
 
 
-def wrong_mapping(
+def wrong_mapping_diagnostic(
     tree: Tree,
     remedies: Sequence[Remedy],
     equals: Sequence[str],
@@ -285,64 +333,74 @@ def wrong_mapping(
     *,
     certain: bool,
 ) -> Diagnostic:
-    """A mapping that hypotheses contradict, and what would make it right.
+    """Diagnostic of a mapping that the data contradict, with the corrected lines.
 
     Args:
-        tree: The robot.
-        remedies: To be applied together.
-        equals: What else explains the recording, in words.
-        gain: How much likelier the data are with the remedies [nats].
-        certain: Whether the data leave no doubt.
+        tree: Robot.
+        remedies: Corrections, to be applied together.
+        equals: Descriptions of alternative explanations.
+        gain: Log-likelihood ratio of the data with the remedies [nats].
+        certain: True for an error, False for a warning.
     """
     names = list(dict.fromkeys(name for each in remedies for name in each.joints))
-    joints = f"joint '{names[0]}'" if len(names) == 1 else f"joints {few(names)}"
-    if len(names) == len(own_joints(tree)) > 1:
+    joints = (
+        f"joint '{names[0]}'" if len(names) == 1 else f"joints {shortened_list(names)}"
+    )
+    if len(names) == len(joints_without_free_base(tree)) > 1:
         joints = "all joints"
-    tables = [KINDS[each.kind].table for each in remedies]
+    tables = [HYPOTHESIS_KINDS[each.kind].table for each in remedies]
     subjects = ["the plate"] * ("wrench" in tables) + ["the base"] * ("base" in tables)
-    worst = max(remedies, key=lambda each: each.before - each.after)
-    clear = worst.before > CLEARLY * worst.after
-    return diagnose(
-        "mapping.wrong" if clear else "mapping.unlikely",
+    main_remedy = max(remedies, key=lambda each: each.before - each.after)
+    improved = main_remedy.before > MIN_IMPROVEMENT * main_remedy.after
+    return make_diagnostic(
+        "mapping.wrong" if improved else "mapping.unlikely",
         " and ".join([*subjects, *[joints][: len(names)]]),
-        worst.before,
+        main_remedy.before,
         level="error" if certain else "warning",
         causes=[
-            " and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))
+            " and ".join(
+                dict.fromkeys(HYPOTHESIS_KINDS[each.kind].words for each in remedies)
+            )
         ],
-        before=share(worst.before),
-        after=share(worst.after),
-        channel=worst.channel,
+        before=percentage(main_remedy.before),
+        after=percentage(main_remedy.after),
+        channel=main_remedy.channel,
         gain=gain,
         equals=", or ".join(equals),
-        lines=in_mapping(line for each in remedies for line in each.lines),
+        lines=mapping_advice(line for each in remedies for line in each.lines),
     )
 
 
-def odd_sizes(
+def check_torque_scales(
     tree: Tree, sizes: Array, mapping: Mapping[str, Any], *, certain: bool
 ) -> Iterator[Diagnostic]:
-    """Torques that are far from what masses of that order make.
+    """Yield a diagnostic of torques 2.5 times larger or smaller than predicted.
 
     Args:
-        tree: The robot.
-        sizes: Times what the model file's masses say, nan where that is not known, (n,) or (0,).
-        mapping: What the recording's mapping file says; empty if it has none.
-        certain: Whether other sizes explain the torques far better.
+        tree: Robot.
+        sizes: Torques relative to the prediction from the model's masses, nan if unknown, (n,) or
+            (0,).
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
+        certain: True if scale factors explain the torques far better: ratios above 4 are then
+            errors.
     """
-    apart = np.maximum(sizes, 1 / sizes)
-    certain = certain and bool((apart >= REFUSED).any())
-    odd = np.flatnonzero(apart >= (REFUSED if certain else DOUBTED))
-    if not odd.size:
+    factors = np.maximum(sizes, 1 / sizes)
+    certain = certain and bool((factors >= ERROR_FACTOR).any())
+    joints = np.flatnonzero(factors >= (ERROR_FACTOR if certain else WARNING_FACTOR))
+    if not joints.size:
         return
-    small = bool((sizes[odd] < 1).all())
+    too_small = bool((sizes[joints] < 1).all())
     unit = str((mapping.get("torque") or {}).get("unit"))
-    units = {large: little for little, large in SMALLER.items()} if small else SMALLER
+    units = (
+        {larger: smaller for smaller, larger in THOUSANDTH_UNITS.items()}
+        if too_small
+        else THOUSANDTH_UNITS
+    )
     causes: tuple[str, ...] = ("tool", "other-masses", "unit-n-mm")
     lines = "[torque] unit; or add the tool to the model file"
-    if unit in units and 0.5 < np.nanmedian(sizes) * (1e3 if small else 1e-3) < 2.0:
+    if unit in units and 0.5 < np.nanmedian(sizes) * (1e3 if too_small else 1e-3) < 2.0:
         causes, lines = ("unit-n-mm",), f'[torque] unit = "{units[unit]}"'
-    elif small:
+    elif too_small:
         causes = ("motor-side", "currents")
         gains = ", ".join(
             f"{round_significant(1 / x, 5):g}" if x > 0 else "?" for x in sizes
@@ -351,24 +409,26 @@ def odd_sizes(
             f'[torque] side = "motor" with a table [gear] (ratio about [{gains}]), or '
             f'unit = "A" with gain about [{gains}]'
         )
-    yield diagnose(
+    yield make_diagnostic(
         "torque.size",
         "the torque",
-        sizes[odd[0]],
+        sizes[joints[0]],
         level="error" if certain else "warning",
         causes=causes,
-        size="small" if small else "large",
-        sizes=", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in odd[:6]),
+        size="small" if too_small else "large",
+        sizes=", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in joints[:6]),
         lines=lines,
     )
 
 
-def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[Diagnostic]:
-    """What data leave open of positions.
+def check_undetermined_positions(
+    tree: Tree, hypotheses: Sequence[Hypothesis]
+) -> Iterator[Diagnostic]:
+    """Yield a diagnostic of position zeros, signs and orders that the data do not determine.
 
     Args:
-        tree: The robot.
-        hypotheses: That explain a recording about as well as none.
+        tree: Robot.
+        hypotheses: Hypotheses that explain the recording about as well as the recorded positions.
     """
     parts = []
     for kind in ("zero", "position_sign", "position_order"):
@@ -376,50 +436,64 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[Diagnost
             {k for each in hypotheses if each.kind == kind for k in each.joints}
         )
         if joints:
-            what = kind.removeprefix("position_")
-            parts.append(f"the {what} of {few([tree.names[k] for k in joints])}")
+            property_name = kind.removeprefix("position_")
+            parts.append(
+                f"the {property_name} of {shortened_list([tree.names[k] for k in joints])}"
+            )
     if parts:
-        yield diagnose("recording.undecided", "; ".join(parts))
+        yield make_diagnostic("recording.undecided", "; ".join(parts))
 
 
-STEPS = ("position.step", "position.unwrapped")
-"""Codes of what an import finds of encoders."""
+ENCODER_STEP_CODES = ("position.step", "position.unwrapped")
+"""Codes of diagnostics of encoder steps, from the import."""
 
 
-def encoder_steps(source: Source) -> list[Diagnostic]:
-    """Diagnose encoder steps that the import of a source has found.
+def encoder_step_diagnostics(source: Source) -> list[Diagnostic]:
+    """Diagnostics of encoder steps from the import of a recording.
 
     Args:
-        source: The recording.
+        source: Recording.
     """
-    return [each for each in source.metadata.diagnostics if each.code in STEPS]
+    return [
+        each for each in source.metadata.diagnostics if each.code in ENCODER_STEP_CODES
+    ]
 
 
-def unknown_gains(source: Source) -> Iterator[Diagnostic]:
-    """Diagnose torque constants computed from the model file's masses.
+def check_assumed_gains(source: Source) -> Iterator[Diagnostic]:
+    """Yield a diagnostic if torque constants are computed from the model file's masses.
 
     Args:
-        source: The recording.
+        source: Recording.
     """
     mapping = source.metadata.mapping or {}
     if (mapping.get("torque") or {}).get("gain_from") == "model":
-        yield diagnose("torque.gains", "the torque")
+        yield make_diagnostic("torque.gains", "the torque")
 
 
-UNTIMED = ("clipped", "dead", "stuck", "slow", "copied", "magnitude", "smoothed")
-"""Faults of torques with which their delay is not determined."""
+DELAY_HIDING_FAULTS = (
+    "clipped",
+    "dead",
+    "stuck",
+    "slow",
+    "copied",
+    "magnitude",
+    "smoothed",
+)
+"""Faults of torques that make the torques' delay undeterminable."""
 
 
-def clocked(source: Source, faults: Iterable[ChannelFault]) -> list[str]:
-    """Signals whose delay their own clock may make: a wrench, and torques of another source.
+def signals_to_align(source: Source, faults: Iterable[ChannelFault]) -> list[str]:
+    """Signals whose delay is estimated: the wrench, and torques with a separate clock.
 
     Args:
-        source: The recording.
-        faults: Of its channels.
+        source: Recording.
+        faults: Faults of the recording's channels; torques with `DELAY_HIDING_FAULTS` are omitted.
     """
     mapping = source.metadata.mapping or {}
     torque, position = (
         (mapping.get(each) or {}).get("source") for each in ("torque", "position")
     )
-    faulty = any(each.signal == "torque" and each.kind in UNTIMED for each in faults)
+    faulty = any(
+        each.signal == "torque" and each.kind in DELAY_HIDING_FAULTS for each in faults
+    )
     return ["wrench"] if faulty or torque == position else ["torque", "wrench"]

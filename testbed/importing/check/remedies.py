@@ -1,4 +1,4 @@
-"""What a mapping may say wrongly, as values, and the lines that would make it right."""
+"""Hypotheses on errors of a mapping file, and the corrected lines of the file."""
 
 from __future__ import annotations
 
@@ -11,21 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import AnyArray, Array
-from testbed.core.base.errors import few, round_significant
-from testbed.core.recordings.columns import AXES
+from testbed.core.base.errors import round_significant, shortened_list
+from testbed.core.recordings.columns import WRENCH_COMPONENTS
 from testbed.core.robot import gravity
-from testbed.core.robot.free_base import FREE, coordinates, poses
-from testbed.core.robot.rotations import from_rpy, to_rpy
+from testbed.core.robot.free_base import (
+    N_BASE_COORDINATES,
+    base_coordinates,
+    base_poses,
+)
+from testbed.core.robot.rotations import matrix_to_rpy, rpy_to_matrix
 from testbed.core.robot.tree import Tree
-from testbed.importing.foreign_table import LENGTHS, factor
-from testbed.importing.import_report import Line
+from testbed.importing.foreign_table import LENGTH_UNITS, unit_size
+from testbed.importing.import_report import MappingLine
 from testbed.importing.vocabulary import read_table
 
 
-class Kind(NamedTuple):
-    """A kind of hypothesis: what is wrong in words, in which table, and what it must explain more.
+class HypothesisKind(NamedTuple):
+    """Kind of hypothesis: description, table of the mapping, and penalty.
 
-    Of two that explain the same, the one that files hold more often comes first [nats].
+    Attributes:
+        words: Description of the error.
+        table: Table of the mapping that contains the error.
+        penalty: Additional log-likelihood ratio that the hypothesis must gain [nats].
     """
 
     words: str
@@ -33,38 +40,47 @@ class Kind(NamedTuple):
     penalty: float = 0.0
 
 
-KINDS = {name: Kind(**each) for name, each in read_table("hypotheses").items()}
+HYPOTHESIS_KINDS = {
+    name: HypothesisKind(**each) for name, each in read_table("hypotheses").items()
+}
+"""Kinds of hypotheses by name."""
 
-QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
-"""Zeros that model files and controllers put elsewhere [rad]."""
+USUAL_ZERO_OFFSETS = (np.pi / 2, -np.pi / 2, np.pi)
+"""Usual differences between the zeros of model files and controllers [rad]."""
 
-BEYOND = 2 * np.pi
-"""Positions below this are no degrees taken for radians: nobody moves so little [rad]."""
+DEGREES_THRESHOLD = 2 * np.pi
+"""Positions of a moving robot below this are not in degrees [rad]."""
 
-LITTLE = np.deg2rad(2 * BEYOND)
-"""Excursions below this may be radians that were taken for degrees [rad]."""
+RADIANS_THRESHOLD = np.deg2rad(2 * DEGREES_THRESHOLD)
+"""Excursions below this may be radians taken for degrees [rad]."""
 
-FACTORS = {"position_sign": -1.0, "degrees": np.pi / 180, "radians": 180 / np.pi}
-"""What positions are multiplied by."""
+POSITION_FACTORS = {
+    "position_sign": -1.0,
+    "degrees": np.pi / 180,
+    "radians": 180 / np.pi,
+}
+"""Factors on positions, by kind of hypothesis."""
 
-STEPS, ODD = (np.pi / 2, np.pi / 12), 2.0
-"""Steps of angles that people write [rad]; what another turn must explain more [nats]."""
+FRAME_ANGLE_STEPS, ODD_ANGLE_PENALTY = (np.pi / 2, np.pi / 12), 2.0
+"""Steps of usual angles between frames [rad]; penalty of a rotation that is no multiple of a step
+[nats]."""
 
-MOST_JOINTS = 12
-"""Joints of a robot up to which orders and zeros are tried: their number grows fast."""
+MAX_SEARCHED_JOINTS = 12
+"""Largest number of joints for the search over orders and zeros, whose number grows fast."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One thing that a mapping may say wrongly, as what must be done to the data.
+    """Hypothesis on an error of a mapping file, as a correction of the data.
 
     Attributes:
-        kind: What is wrong, a key of `KINDS`.
-        joints: Indices of the joints that it is about.
-        values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
-            joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
-            [rad]; of a shift the frame's origin [m]; of what is late by how much [s]; of gravity
-            itself [m/s^2]; of sizes and of a base's unit how many times too large the numbers are.
+        kind: Kind of error, a key of `HYPOTHESIS_KINDS`.
+        joints: Indices of the affected joints.
+        values: Values of the correction, depending on the kind. Zeros: angles to be added, one per
+            joint [rad]; orders: column index of each joint or channel; units: names; turn: roll,
+            pitch and yaw of the frame [rad]; shift: origin of the frame [m]; late and delay: delay
+            [s]; gravity: vector [m/s^2]; sizes and base unit: factors by which the numbers are too
+            large.
     """
 
     kind: str
@@ -73,160 +89,169 @@ class Hypothesis:
 
     @property
     def penalty(self) -> float:
-        """What it must explain more than another hypothesis [nats]."""
-        # people turn by right angles, and then by what is on a protractor
+        """Additional log-likelihood ratio that the hypothesis must gain [nats].
+
+        Rotation: 2 for angles that are not multiples of 90 deg, 4 for angles that are not multiples
+        of 15 deg. Zero: the penalty of its kind, once per joint, and once more for angles other
+        than 90 or 180 deg.
+        """
+        # right angles are the most frequent, then multiples of 15 degrees
         if self.kind == "turn":
             angles = np.array(self.values)
-            odd = [
+            off_grid = [
                 np.abs(angles - np.round(angles / step) * step).max() > 1e-4
-                for step in STEPS
+                for step in FRAME_ANGLE_STEPS
             ]
-            return float(ODD * sum(odd))
+            return float(ODD_ANGLE_PENALTY * sum(off_grid))
         times = 1
         if self.kind == "zero":
-            times = len(self.joints) + (not set(self.values) <= set(QUARTERS))
-        return KINDS[self.kind].penalty * times
+            times = len(self.joints) + (not set(self.values) <= set(USUAL_ZERO_OFFSETS))
+        return HYPOTHESIS_KINDS[self.kind].penalty * times
 
 
-def in_words(tree: Tree, hypothesis: Hypothesis) -> str:
-    """A hypothesis with the joints that it is about, and by how much zeros are off.
+def hypothesis_description(tree: Tree, hypothesis: Hypothesis) -> str:
+    """Description of a hypothesis, with its joints and the changes of their zeros.
 
     Args:
-        tree: The robot.
-        hypothesis: What may be wrong.
+        tree: Robot.
+        hypothesis: Hypothesis on an error of the mapping.
     """
-    words = KINDS[hypothesis.kind].words
-    if len(hypothesis.joints) in (0, len(own_joints(tree))):
+    words = HYPOTHESIS_KINDS[hypothesis.kind].words
+    if len(hypothesis.joints) in (0, len(joints_without_free_base(tree))):
         return words
-    names = few([tree.names[k] for k in hypothesis.joints])
+    names = shortened_list([tree.names[k] for k in hypothesis.joints])
     by = ", ".join(f"{np.rad2deg(angle):.0f}" for angle in hypothesis.values)
     return f"{words} ({names}{f' by {by} deg' if hypothesis.kind == 'zero' else ''})"
 
 
-def own_joints(tree: Tree) -> range:
-    """The robot's own joints: all, but for the coordinates of a free base.
+def joints_without_free_base(tree: Tree) -> range:
+    """Indices of the robot's joints without the coordinates of a free base.
 
     Args:
-        tree: The robot.
+        tree: Robot.
     """
-    return range(FREE if tree.floating else 0, tree.n)
+    return range(N_BASE_COORDINATES if tree.floating else 0, tree.n)
 
 
-def exchanges(own: range, count: int) -> Iterator[tuple[int, ...]]:
-    """Orders of joints or channels of which two are exchanged.
+def pair_exchanges(joints: range, count: int) -> Iterator[tuple[int, ...]]:
+    """Yield all orders of joints or channels in which two are exchanged.
 
     Args:
-        own: Those that may be.
-        count: How many there are in all.
+        joints: Indices that may be exchanged.
+        count: Number of joints or channels.
     """
-    yield from (exchanged(*pair, count) for pair in combinations(own, 2))
+    yield from (exchanged_order(*pair, count) for pair in combinations(joints, 2))
 
 
-def exchanged(one: int, other: int, count: int) -> tuple[int, ...]:
-    """The order of joints or channels of which two are exchanged.
+def exchanged_order(first: int, second: int, count: int) -> tuple[int, ...]:
+    """Order of joints or channels in which two are exchanged.
 
     Args:
-        one: Index of the first of them.
-        other: Of the second.
-        count: How many there are in all.
+        first: Index of the first.
+        second: Index of the second.
+        count: Number of joints or channels.
     """
     order = [*range(count)]
-    order[one], order[other] = other, one
+    order[first], order[second] = second, first
     return tuple(order)
 
 
-def orders(own: range) -> Iterator[tuple[int, ...]]:
-    """Orders with two joints exchanged, or with all of them rolled or in reverse.
+def candidate_orders(joints: range) -> Iterator[tuple[int, ...]]:
+    """Yield orders with two joints exchanged, all joints rotated cyclically, or all reversed.
 
     Args:
-        own: Indices of the joints.
+        joints: Indices of the joints; joints with lower indices keep their position in the order.
     """
-    yield from exchanges(own, own.stop)
-    base, rest = [*range(own.start)], [*own]
+    yield from pair_exchanges(joints, joints.stop)
+    base, rest = [*range(joints.start)], [*joints]
     if len(rest) > 2:
         for k in range(1, len(rest)):
             yield (*base, *rest[-k:], *rest[:-k])
         yield (*base, *rest[::-1])
 
 
-def corrected(hypothesis: Hypothesis, position: Array, offset: Array) -> Array:
-    """Positions by a hypothesis about them, (M, n).
+def corrected_positions(
+    hypothesis: Hypothesis, position: Array, offset: Array
+) -> Array:
+    """Positions corrected by a hypothesis, (M, n).
 
     Args:
-        hypothesis: What the mapping may say wrongly.
-        position: As it was read, (M, n).
-        offset: What the mapping has added to it, (n,).
+        hypothesis: Hypothesis on the positions.
+        position: Positions as recorded, (M, n) [rad or m].
+        offset: Offsets that the mapping has added to the positions, (n,).
 
     Raises:
-        RecordingError: A base would stand on its head.
+        RecordingError: The corrected orientation of the base is near the singularity of its angles.
     """
-    kind, values, here = hypothesis.kind, hypothesis.values, list(hypothesis.joints)
+    kind, values, joints = hypothesis.kind, hypothesis.values, list(hypothesis.joints)
     if kind == "position_order":
         return position[:, list(values)]
     if kind == "quaternion_order":
-        pose = poses(position[:, :FREE])
+        pose = base_poses(position[:, :N_BASE_COORDINATES])
         pose[:, 3:] = pose[:, 3:][:, list(values)]
-        return np.hstack([coordinates(pose), position[:, FREE:]])
-    fixed = position.copy()
-    fixed[:, here] *= FACTORS.get(kind, 1.0)
+        return np.hstack([base_coordinates(pose), position[:, N_BASE_COORDINATES:]])
+    result = position.copy()
+    result[:, joints] *= POSITION_FACTORS.get(kind, 1.0)
     if kind == "radians":
-        fixed[:, here] -= (FACTORS[kind] - 1) * offset[here]
+        result[:, joints] -= (POSITION_FACTORS[kind] - 1) * offset[joints]
     if kind == "zero":
-        fixed[:, here] += values
+        result[:, joints] += values
     if kind == "base_unit":
-        fixed[:, :3] /= values[0]
-    return fixed
+        result[:, :3] /= values[0]
+    return result
 
 
 def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
-    """What a mapping has added to the positions, in the order of the tree's joints, (n,).
+    """Offsets that a mapping adds to the positions, in the order of the joints, (n,).
 
     Args:
-        tree: The robot.
-        mapping: What the recording's mapping file says; empty if it has none.
+        tree: Robot.
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
     """
     offsets = (mapping.get("position") or {}).get("offset") or ()
     by_name = dict(zip(mapping.get("joints", tree.names), offsets, strict=False))
     return np.array([by_name.get(name, 0.0) for name in tree.names])
 
 
-def merge(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-    """Signs and zeros of several joints, each kind as one: it is one line of a mapping.
+def merge_hypotheses(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Combine signs and zeros of several joints into one hypothesis per kind.
+
+    Two reversals of a sign cancel; the reversal of a position reverses zeros applied before it.
 
     Args:
-        hypotheses: In the order in which they are applied.
+        hypotheses: Hypotheses in the order of application.
     """
     count = 1 + max((k for each in hypotheses for k in each.joints), default=0)
     signs = {"position_sign": np.ones(count), "torque_sign": np.ones(count)}
     zeros = np.zeros(count)
     merged = []
     for each in hypotheses:
-        here = list(each.joints)
+        joints = list(each.joints)
         if each.kind in signs:
-            signs[each.kind][here] *= -1
-            if each.kind == "position_sign":  # of what was added before, too
-                zeros[here] *= -1
+            signs[each.kind][joints] *= -1
+            if each.kind == "position_sign":  # offsets added before change sign, too
+                zeros[joints] *= -1
         elif each.kind == "zero":
-            zeros[here] += each.values
+            zeros[joints] += each.values
         else:
             merged.append(each)
     for kind, sign in signs.items():
-        merged += of_joints(kind, sign < 0)
-    return (*merged, *of_joints("zero", zeros != 0, zeros[zeros != 0]))
+        merged += joint_hypothesis(kind, sign < 0)
+    return (*merged, *joint_hypothesis("zero", zeros != 0, zeros[zeros != 0]))
 
 
-def of_joints(
-    kind: str, those: NDArray[np.bool_], values: AnyArray | None = None
+def joint_hypothesis(
+    kind: str, mask: NDArray[np.bool_], values: AnyArray | None = None
 ) -> Iterator[Hypothesis]:
-    """The hypothesis of a kind about some joints, if there are any.
+    """Yield the hypothesis of a given kind on selected joints; nothing if none is selected.
 
     Args:
-        kind: A key of `KINDS`.
-        those: Which joints it is about, (n,).
-        values: As of the hypothesis; none by default.
+        kind: Kind of hypothesis, a key of `HYPOTHESIS_KINDS`.
+        mask: True for the selected joints, (n,).
+        values: Values of the hypothesis; empty by default.
     """
-    if those.any():
-        joints = np.flatnonzero(those).tolist()
+    if mask.any():
+        joints = np.flatnonzero(mask).tolist()
         yield Hypothesis(
             kind, tuple(joints), () if values is None else tuple(values.tolist())
         )
@@ -234,22 +259,22 @@ def of_joints(
 
 @dataclass(frozen=True)
 class Remedy:
-    """One thing to change in a mapping, and what it does to the data.
+    """Correction of a mapping file, with its effect on the residuals.
 
     Attributes:
-        kind: Of the hypothesis, a key of `KINDS`.
-        joints: Names of the joints that it is about; empty where it is about plate or base.
-        values: As of the `Hypothesis`: angles, an order, units, roll, pitch and yaw, ...
-        lines: What the mapping should say.
-        channel: Which channel it helps most.
-        before: Part of its variance that is unexplained as recorded.
-        after: The same with all remedies.
+        kind: Kind of hypothesis, a key of `HYPOTHESIS_KINDS`.
+        joints: Names of the affected joints; empty for plate or base.
+        values: Values of the correction, as in `Hypothesis`.
+        lines: Corrected lines of the mapping.
+        channel: Channel with the largest improvement.
+        before: Unexplained share of this channel's variance as recorded.
+        after: Unexplained share with all remedies.
     """
 
     kind: str
     joints: tuple[str, ...]
     values: tuple[Any, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[MappingLine, ...]
     channel: str
     before: float
     after: float
@@ -261,66 +286,73 @@ def remedies_for(
     before: Array,
     after: Array,
     mapping: Mapping[str, Any],
-    torques: int,
+    torque_count: int,
 ) -> Iterator[Remedy]:
-    """What to change in a mapping if hypotheses hold.
+    """Yield the corrections of a mapping for given hypotheses.
 
     Args:
-        tree: The robot.
-        hypotheses: In the order in which they are applied.
-        before: Part of each channel's variance that is unexplained as recorded, (C,).
-        after: The same by the hypotheses.
-        mapping: What the recording's mapping file says; empty if it has none.
-        torques: How many of the channels, the first, are torques.
+        tree: Robot.
+        hypotheses: Hypotheses in the order of application.
+        before: Unexplained share of each of the C channels' variance as recorded, (C,).
+        after: Unexplained share under the hypotheses, (C,).
+        mapping: Content of the recording's mapping file; empty if there is no mapping.
+        torque_count: Number of torque channels, which come first.
     """
-    channels = [*(f"the torque of '{name}'" for name in tree.names[:torques]), *AXES]
+    channels = [
+        *(f"the torque of '{name}'" for name in tree.names[:torque_count]),
+        *WRENCH_COMPONENTS,
+    ]
     for each in hypotheses:
-        lines = tuple(_lines(tree, each, mapping))
-        mapping = with_lines(mapping, lines)  # on which the next ones build
-        every = range(len(before))
-        table = KINDS[each.kind].table
-        own: Sequence[int] = every[torques:] if table == "wrench" else every
+        lines = tuple(_corrected_lines(tree, each, mapping))
+        mapping = mapping_with_lines(mapping, lines)  # the next lines build on these
+        all_channels = range(len(before))
+        table = HYPOTHESIS_KINDS[each.kind].table
+        candidates: Sequence[int] = (
+            all_channels[torque_count:] if table == "wrench" else all_channels
+        )
         if table == "torque" and each.joints:
-            own = each.joints
-        best = max(own, key=lambda k: before[k] - after[k])
+            candidates = each.joints
+        best = max(candidates, key=lambda k: before[k] - after[k])
         joints = tuple(tree.names[k] for k in each.joints)
         shares = float(before[best]), float(after[best])
         yield Remedy(each.kind, joints, each.values, lines, channels[best], *shares)
 
 
-def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, Any]:
-    """A mapping that says other values.
+def mapping_with_lines(
+    mapping: Mapping[str, Any], lines: Iterable[MappingLine]
+) -> dict[str, Any]:
+    """Mapping with some values replaced.
 
     Args:
-        mapping: As a recording keeps it.
-        lines: What it should say.
+        mapping: Content of a mapping file, as stored in a recording.
+        lines: Corrected lines: table, key, value.
     """
     edited = {**mapping}
     for table, key, value in lines:
-        here = edited
+        target = edited
         for part in table.split(".") if table else ():
-            here[part] = {**(here.get(part) or {})}
-            here = here[part]
-        here[key] = value
+            target[part] = {**(target.get(part) or {})}
+            target = target[part]
+        target[key] = value
     return edited
 
 
-def _lines(
+def _corrected_lines(
     tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]
-) -> Iterator[Line]:
-    """What to write of one hypothesis, in terms of what is written if that is known."""
-    signal = KINDS[hypothesis.kind].table
+) -> Iterator[MappingLine]:
+    """Yield the lines of a mapping that apply a hypothesis, combined with the current values."""
+    table_name = HYPOTHESIS_KINDS[hypothesis.kind].table
     if hypothesis.kind == "spring":
-        return  # no line of a mapping says so
+        return  # no line of a mapping corrects a spring
     if hypothesis.kind == "gravity":
-        yield "", "gravity", gravity.in_words(hypothesis.values)
+        yield "", "gravity", gravity.mounting_name(hypothesis.values)
         return
-    for name, table in tables_of(mapping, signal).items():
-        if signal == "wrench":
+    for name, table in signal_tables(mapping, table_name).items():
+        if table_name == "wrench":
             pairs = [
                 _plate_line(hypothesis, table, alone=not name.startswith("plates."))
             ]
-        elif signal == "base":
+        elif table_name == "base":
             pairs = [_base_line(hypothesis, table)]
         else:
             order = [
@@ -330,25 +362,27 @@ def _lines(
         yield from ((name, *pair) for pair in pairs)
 
 
-def tables_of(mapping: Mapping[str, Any], signal: str) -> dict[str, Mapping[str, Any]]:
-    """Tables of which a recording's signal was made: a wrench by several plates, or a sensor.
+def signal_tables(
+    mapping: Mapping[str, Any], signal: str
+) -> dict[str, Mapping[str, Any]]:
+    """Tables of a mapping that define a signal; several for a wrench of several plates.
 
     Args:
-        mapping: As a recording keeps it.
-        signal: Of the recording; its own table may be empty.
+        mapping: Content of a mapping file, as stored in a recording.
+        signal: Name of the signal; the table of this name may be empty.
     """
-    own = mapping.get(signal) or {}
+    signal_table = mapping.get(signal) or {}
     for group in ("plates", "sensors"):
-        if signal == "wrench" and mapping.get(group) and not own:
+        if signal == "wrench" and mapping.get(group) and not signal_table:
             return {f"{group}.{name}": table for name, table in mapping[group].items()}
-    return {signal: own}
+    return {signal: signal_table}
 
 
-def place_of(table: Mapping[str, Any]) -> tuple[Sequence[float], Array]:
-    """Roll, pitch and yaw [rad] of a plate's frame, and its origin, (3,) [m].
+def sensor_placement(table: Mapping[str, Any]) -> tuple[Sequence[float], Array]:
+    """Roll, pitch, yaw [rad] and origin, (3,) [m], of a plate in the bedplate frame.
 
     Args:
-        table: What a mapping says of the plate; the bedplate's frame by default.
+        table: Table of the plate in a mapping; without a key `place`, all values are zero.
     """
     place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
     return place["rpy"], np.array(place["xyz"], float)
@@ -357,22 +391,30 @@ def place_of(table: Mapping[str, Any]) -> tuple[Sequence[float], Array]:
 def _plate_line(
     hypothesis: Hypothesis, table: Mapping[str, Any], *, alone: bool
 ) -> tuple[str, Any]:
-    """A key of a plate's table and its value; several plates are moved as one."""
+    """Key and value of a plate's table that apply a hypothesis.
+
+    Args:
+        hypothesis: Hypothesis on the plate.
+        table: Table of the plate in the mapping.
+        alone: False for one of several plates, which are moved together.
+    """
     kind, values = hypothesis.kind, hypothesis.values
     if kind == "sense":
         return "sense", "on_plate" if table.get("sense") != "on_plate" else "on_robot"
     if kind == "plate_order":
-        columns = table.get("columns", AXES)
-        columns = columns if len(columns) == len(AXES) else AXES
+        columns = table.get("columns", WRENCH_COMPONENTS)
+        columns = (
+            columns if len(columns) == len(WRENCH_COMPONENTS) else WRENCH_COMPONENTS
+        )
         return "columns", [columns[k] for k in values]
     if kind == "late":
         return "delay", round(float(table.get("delay", 0.0)) + values[0], 4)
     if kind in ("units", "tare"):
         return kind, list(values)
-    rpy, xyz = place_of(table)
+    rpy, xyz = sensor_placement(table)
     if kind == "turn":
-        turn = from_rpy(values)
-        rpy = values if alone else to_rpy(turn @ from_rpy(rpy))
+        turn = rpy_to_matrix(values)
+        rpy = values if alone else matrix_to_rpy(turn @ rpy_to_matrix(rpy))
         xyz = xyz if alone else turn @ xyz
     else:
         xyz = np.array(values) if alone else xyz + values
@@ -383,32 +425,36 @@ def _plate_line(
 
 
 def _base_line(hypothesis: Hypothesis, table: Mapping[str, Any]) -> tuple[str, Any]:
-    """A key of the base's table and its value."""
+    """Key and value of the base's table that apply a hypothesis."""
     if hypothesis.kind == "quaternion_order":
         columns = table.get("quaternion", ("x", "y", "z", "w"))
         return "quaternion", [columns[k] for k in hypothesis.values]
-    wanted = factor("position", table.get("unit", "m")) / hypothesis.values[0]
-    units = (unit for unit, size in LENGTHS.items() if np.isclose(size, wanted))
-    return "unit", next(units, f"one of {wanted:g} m")
+    length = unit_size("position", table.get("unit", "m")) / hypothesis.values[0]
+    units = (unit for unit, size in LENGTH_UNITS.items() if np.isclose(size, length))
+    return "unit", next(units, f"one of {length:g} m")
 
 
 def _joint_lines(
     tree: Tree, hypothesis: Hypothesis, table: Mapping[str, Any], order: Sequence[int]
 ) -> Iterator[tuple[str, Any]]:
-    """Keys of the joints' columns and their values, in the mapping's own order of joints."""
+    """Yield keys and values of the table of positions or torques that apply a hypothesis.
+
+    Lists of the table are in the mapping's order of joints; `order` has the robot's indices of
+    these.
+    """
     kind, matrix, offset = (
         hypothesis.kind,
         table.get("matrix"),
         table.get("offset") or (),
     )
-    here = [k in hypothesis.joints for k in order]
+    affected = [k in hypothesis.joints for k in order]
     if kind == "gravity_removed":
         yield "gravity", "removed"
     elif kind == "delay":
         delay = float(table.get("delay", 0.0)) + hypothesis.values[0]
         yield "delay", round(delay, 5)
     elif kind.endswith("sign"):
-        factors = np.where(here, -1, 1)
+        factors = np.where(affected, -1, 1)
         if matrix:
             yield "matrix", (factors[:, None] * matrix).tolist()
         else:
@@ -444,9 +490,9 @@ def _joint_lines(
 def _angle_units(
     tree: Tree, kind: str, unit: Any, order: Sequence[int]
 ) -> str | list[str]:
-    """Units of positions, those of joints that turn in the right one."""
-    right = "deg" if kind == "degrees" else "rad"
-    said = unit if isinstance(unit, list) else ["m"] * len(order)
-    pairs = zip(order, said, strict=True)
-    units = [right if tree.joints[k].revolute else each for k, each in pairs]
-    return right if {*units} == {right} else units
+    """Units of positions, with the unit of revolute joints corrected."""
+    angle_unit = "deg" if kind == "degrees" else "rad"
+    present_units = unit if isinstance(unit, list) else ["m"] * len(order)
+    pairs = zip(order, present_units, strict=True)
+    units = [angle_unit if tree.joints[k].revolute else each for k, each in pairs]
+    return angle_unit if {*units} == {angle_unit} else units

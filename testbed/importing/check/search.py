@@ -1,4 +1,4 @@
-"""Which hypotheses explain a recording: fits of its positions, from the simple to the rare."""
+"""Search for hypotheses that explain a recording, from simple to rare hypotheses."""
 
 from __future__ import annotations
 
@@ -14,66 +14,69 @@ from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.explanation import (
-    APART,
+    MIN_HYPOTHESIS_GAIN,
     Explanation,
     HypothesisFit,
-    ranked,
+    rank_explanations,
 )
-from testbed.importing.check.instants import sample
-from testbed.importing.check.plate import EXPLAINED
-from testbed.importing.check.plate_frame import frame_of
+from testbed.importing.check.instants import low_passed_instants
+from testbed.importing.check.plate import EXPLAINED_SHARE
+from testbed.importing.check.plate_frame import plate_frame_of
 from testbed.importing.check.prior import ScaledPrior
 from testbed.importing.check.remedies import (
-    BEYOND,
-    LITTLE,
-    MOST_JOINTS,
-    QUARTERS,
+    DEGREES_THRESHOLD,
+    MAX_SEARCHED_JOINTS,
+    RADIANS_THRESHOLD,
+    USUAL_ZERO_OFFSETS,
     Hypothesis,
-    corrected,
-    orders,
-    own_joints,
+    candidate_orders,
+    corrected_positions,
+    joints_without_free_base,
     position_offset,
 )
 
 Progress = Callable[[int, int], None]
+"""Callback with the number of fitted hypotheses and their total, 0 if unknown."""
 
-MUCH = 20.0
-"""Times more than the least that some map of a plate leaves of another fit: it is none."""
+MAX_RESIDUAL_RATIO = 20.0
+"""Largest ratio of a fit's residual under the best linear map to the least of all fits."""
 
-JUDGED = 4
-"""Fits whose plates are judged; the others cannot come up to them."""
+MAX_EVALUATED_FITS = 4
+"""Number of fits whose maps of the plate are evaluated: those with the least misfit."""
 
-MOST = 6
-"""Explanations that are kept, the best first."""
+MAX_EXPLANATIONS = 6
+"""Largest number of explanations, the best first."""
 
-UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
-"""Hypotheses that concern all joints, which are looked at before those of some."""
+UNIT_KINDS = ("degrees", "radians", "base_unit", "quaternion_order")
+"""Kinds of hypotheses on all joints together, which are tested before single joints."""
 
-NOTHING = 1e-6
-"""Gain of a hypothesis that changes nothing at all [nats]."""
+MIN_EFFECT = 1e-6
+"""Least change of the cost by a hypothesis that has an effect at all [nats]."""
 
-STEP, FINEST = np.deg2rad([25.0, 0.5])
-"""By how much a zero is moved at most, and how well it is found [rad]."""
+MAX_ZERO_STEP, ZERO_TOLERANCE = np.deg2rad([25.0, 0.5])
+"""Largest change of a zero in its refinement, and tolerance of the result [rad]."""
 
 
-SCANNED = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
-"""Other zeros to try [rad]."""
+RARE_ZEROS = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
+"""Changes of zeros by odd multiples of 45 degrees [rad]."""
 
 BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
-"""Times that a base's positions are taken too small or too large: mm or cm for m."""
+"""Factors by which positions of a base may be too large: mm or cm for m, and inverse."""
 
 SCALAR_LAST = (3, 0, 1, 2)
-"""Where w, x, y, z of a quaternion stand that is x, y, z, w."""
+"""Indices of w, x, y, z in a quaternion stored as x, y, z, w."""
 
 
 class Search:
-    """All fits of a recording that were made.
+    """Search for explanations of a recording, with a cache of all fits.
+
+    An explanation is a map of the plate's channels together with hypotheses on mapping errors.
 
     Attributes:
-        prior: The robot.
-        frame: How the mapping has read the plate.
-        first: The recording as it is; None where it is too short.
-        fits: By hypotheses about positions and clocks.
+        prior: Prior of the robot's parameters.
+        frame: Frame and units of the plate according to the mapping.
+        first: Fit without hypotheses; None if the recording is too short.
+        fits: Fits, keyed by their hypotheses on positions and clocks.
     """
 
     def __init__(
@@ -84,83 +87,104 @@ class Search:
         cutoff: float,
         progress: Progress | None,
     ) -> None:
-        """Nothing yet.
+        """Fit the recording without hypotheses.
 
         Args:
-            tree: The robot, its masses roughly right.
-            recording: In the order of its joints.
-            mapping: What the recording's mapping file says; empty if it has none.
-            cutoff: Up to which frequency [Hz].
-            progress: Called with how many hypotheses are fitted, and 0: of how many is not known.
+            tree: Robot, with approximately right masses.
+            recording: Recording in the robot's order of joints.
+            mapping: Content of the recording's mapping file; empty if there is no mapping.
+            cutoff: Cutoff frequency of the low-pass filter [Hz].
+            progress: Callback with the number of fitted hypotheses, and with 0 as the unknown
+                total.
         """
         self.prior = ScaledPrior(tree)
-        self.frame = frame_of(mapping)
+        self.frame = plate_frame_of(mapping)
         self.fits: dict[tuple[Hypothesis, ...], HypothesisFit] = {}
         self._recording, self._progress, self._cutoff = recording, progress, cutoff
         self._offset = position_offset(tree, mapping)
         self.first = self._fit()
 
-    def best(self) -> tuple[Explanation, list[Explanation]]:
-        """The plate as it is read, and what explains it, the best first."""
-        first = self.first
-        assert first is not None
-        as_read = first.as_read
-        if as_read.plate.explained():
-            return as_read, [as_read]
-        several = ranked(self._explanations(first))
-        nearest = several[0].fit
-        if _moves_zero(nearest):
-            several = ranked([*several, *self._refine(nearest).explanations])
-        several = list({each.hypotheses: each for each in several[::-1]}.values())[::-1]
-        return as_read, ranked(several[:MOST])
+    def find_best_explanations(self) -> tuple[Explanation, list[Explanation]]:
+        """Explanation with the plate as recorded, and the best explanations in order.
 
-    def with_senses(
+        At most `MAX_EXPLANATIONS` are returned, sorted by penalised cost. If the last hypothesis of
+        the best fit is another joint zero, this zero is optimised. The search is skipped if the
+        robot explains the plate as recorded.
+        """
+        initial = self.first
+        assert initial is not None
+        as_read = initial.explanation_as_read
+        if as_read.plate.is_explained():
+            return as_read, [as_read]
+        explanations = rank_explanations(self._explanations(initial))
+        nearest = explanations[0].fit
+        if _moves_zero(nearest):
+            explanations = rank_explanations(
+                [*explanations, *self._refine(nearest).explanations]
+            )
+        explanations = list(
+            {each.hypotheses: each for each in explanations[::-1]}.values()
+        )[::-1]
+        return as_read, rank_explanations(explanations[:MAX_EXPLANATIONS])
+
+    def explanations_with_reversed_joints(
         self, best: Explanation, joints: Iterable[int]
     ) -> Iterator[Explanation]:
-        """Yield explanations with one joint's position sign reversed, of equal plate cost.
+        """Yield explanations of equal plate cost in which one joint's position sign is reversed.
+
+        Costs are equal if they exceed the cost of the best explanation by less than
+        `MIN_HYPOTHESIS_GAIN`.
 
         Args:
-            best: The likeliest.
-            joints: Indices of those that are tried.
+            best: Best explanation.
+            joints: Indices of the candidate joints.
         """
         for joint in joints:
             sign = Hypothesis("position_sign", (joint,))
             fit = self._fit(*best.fit.hypotheses, sign)
             if fit is None or sign in best.fit.hypotheses:
                 continue
-            other = _likeliest([fit.as_read, *fit.explanations])
-            if other.cost < best.cost + APART:
+            other = _likeliest_explanation([fit.explanation_as_read, *fit.explanations])
+            if other.cost < best.cost + MIN_HYPOTHESIS_GAIN:
                 yield other
 
-    def undecided(self) -> list[Hypothesis]:
-        """Those about positions alone by which the recording is about as likely as it is.
+    def undetermined_hypotheses(self) -> list[Hypothesis]:
+        """Single position hypotheses under which the data are about equally likely.
 
-        But for such as change nothing at all: a zero about an axis along gravity is a name.
+        Their cost exceeds the cost of the positions as recorded by less than `MIN_HYPOTHESIS_GAIN`.
+        Hypotheses without any effect are omitted: a zero about an axis along gravity is equivalent
+        to other parameters.
         """
-        misfit = self.fits[()].misfit
-        worse = {
-            each: fit.misfit - misfit
+        misfit = self.fits[()].approximate_cost
+        increases = {
+            each: fit.approximate_cost - misfit
             for each, fit in self.fits.items()
             if len(each) == 1
         }
         return [
-            each for (each,), by in worse.items() if by < APART and abs(by) > NOTHING
+            each
+            for (each,), increase in increases.items()
+            if increase < MIN_HYPOTHESIS_GAIN and abs(increase) > MIN_EFFECT
         ]
 
     def _fit(self, *hypotheses: Hypothesis) -> HypothesisFit | None:
-        """A fit by hypotheses about positions and clocks, made once; None where it is no motion."""
+        """Fit under hypotheses on positions and clocks, with caching.
+
+        The result is None if the corrected base orientation is singular or the recording is too
+        short.
+        """
         if hypotheses not in self.fits:
-            position, late = self._recording.position, 0.0
+            position, delay = self._recording.position, 0.0
             for each in hypotheses:
                 if each.kind == "late":
-                    late += each.values[0]
+                    delay += each.values[0]
                     continue
                 try:
-                    position = corrected(each, position, self._offset)
-                except RecordingError:  # a base would stand on its head
+                    position = corrected_positions(each, position, self._offset)
+                except RecordingError:  # singular orientation of the base
                     return None
             moved = replace(self._recording, position=position)
-            instants = sample(moved, late, self._cutoff)
+            instants = low_passed_instants(moved, delay, self._cutoff)
             if instants is None:
                 return None
             self.fits[hypotheses] = HypothesisFit(
@@ -171,153 +195,205 @@ class Search:
         return self.fits[hypotheses]
 
     def _explanations(self, first: HypothesisFit) -> list[Explanation]:
-        """What may explain it; no more once all is explained."""
-        several = [first.as_read]
-        for more in self._stages(first, several):
-            several += more
-            if _likeliest(several).plate.explained():
-                break
-        return several
-
-    def _stages(
-        self, first: HypothesisFit, several: list[Explanation]
-    ) -> Iterator[list[Explanation]]:
-        """Explanations from the simple to the rare.
+        """Explanations from successive search stages, up to the first that explains the wrench.
 
         Args:
-            first: The positions as they were read.
-            several: All explanations before.
+            first: Fit without hypotheses.
+        """
+        explanations = [first.explanation_as_read]
+        for stage in self._stages(first, explanations):
+            explanations += stage
+            if _likeliest_explanation(explanations).plate.is_explained():
+                break
+        return explanations
+
+    def _stages(
+        self, first: HypothesisFit, explanations: list[Explanation]
+    ) -> Iterator[list[Explanation]]:
+        """Yield explanations from each stage of the search, from simple to rare hypotheses.
+
+        The stages are: the plate alone; units of positions; single hypotheses on positions; joint
+        zeros shifted by odd multiples of 45 deg, optimised; two hypotheses on positions. If the
+        plate turns out to be delayed, the stages start again with the delay corrected.
+
+        Args:
+            first: Fit with the positions as recorded.
+            explanations: Explanations from all previous stages, updated by the caller.
         """
         tree = self.prior.tree
         yield first.explanations
         hypotheses = list(position_hypotheses(tree, first.instants.motion.q, ()))
-        units = [each for each in hypotheses if each.kind in UNITS]
-        for looked_at in (units, hypotheses):
-            self._look(first, looked_at)
-            in_time = self._in_time(first, several)
-            if in_time is not None:
-                yield from self._stages(in_time, several)
+        units = [each for each in hypotheses if each.kind in UNIT_KINDS]
+        for tested in (units, hypotheses):
+            self._fit_each(first, tested)
+            synchronised = self._fit_with_delay(first, explanations)
+            if synchronised is not None:
+                yield from self._stages(synchronised, explanations)
                 return
-            yield self._promising()
-        if first.plate.mixed(_likeliest(several).plate.unexplained):
+            yield self._promising_explanations()
+        if first.plate.has_crosstalk(
+            _likeliest_explanation(explanations).plate.unexplained
+        ):
             return  # positions are right where only a matrix explains the plate
-        self._look(first, rarer_hypotheses(tree))
-        yield self._at_best_zeros(3)
-        for each in self._nearest(2):
-            self._look(
+        self._fit_each(first, oblique_zero_hypotheses(tree))
+        yield self._refined_explanations(3)
+        for each in self._nearest_fits(2):
+            self._fit_each(
                 each, position_hypotheses(tree, each.instants.motion.q, each.hypotheses)
             )
-        yield self._promising()
+        yield self._promising_explanations()
 
-    def _in_time(
-        self, first: HypothesisFit, several: Sequence[Explanation]
+    def _fit_with_delay(
+        self, first: HypothesisFit, explanations: Sequence[Explanation]
     ) -> HypothesisFit | None:
-        """The same with the plate's clock set, where a fit shows that it is late, or early."""
-        explained = any(each.plate.explained() for each in several)
+        """Fit with the plate's delay corrected; None if no delay is significant.
+
+        The delay is taken from the fit with the least ratio of residuals. The result is also None
+        if an explanation already explains the plate, or if the first fit has hypotheses.
+        """
+        explained = any(each.plate.is_explained() for each in explanations)
         if first.hypotheses or explained:
             return None
-        late, _ = min(
+        delay, _ = min(
             (each.plate.delay for each in self.fits.values()), key=lambda d: d[1]
         )
-        return self._fit(Hypothesis("late", (), (late,))) if late else None
+        return self._fit(Hypothesis("late", (), (delay,))) if delay else None
 
-    def _look(
-        self, beside: HypothesisFit, hypotheses: Iterable[Hypothesis]
+    def _fit_each(
+        self, fit_before: HypothesisFit, hypotheses: Iterable[Hypothesis]
     ) -> list[HypothesisFit]:
-        """Fits by one hypothesis more each."""
-        fits = [self._fit(*beside.hypotheses, each) for each in hypotheses]
+        """Fits with the hypotheses of a given fit and one additional hypothesis each.
+
+        Args:
+            fit_before: Fit with the given hypotheses.
+            hypotheses: Additional hypotheses.
+        """
+        fits = [self._fit(*fit_before.hypotheses, each) for each in hypotheses]
         return [each for each in fits if each is not None]
 
-    def _nearest(self, count: int) -> list[HypothesisFit]:
-        return sorted(self.fits.values(), key=lambda each: each.misfit)[:count]
+    def _nearest_fits(self, count: int) -> list[HypothesisFit]:
+        """Given number of fits with the least approximate cost, in increasing order."""
+        return sorted(self.fits.values(), key=lambda each: each.approximate_cost)[
+            :count
+        ]
 
-    def _promising(self) -> list[Explanation]:
-        """What the nearest fits leave, but for those that no map of a plate explains as well."""
-        nearest = self._nearest(JUDGED)
-        most = MUCH * min(each.plate.least for each in nearest) + EXPLAINED
+    def _promising_explanations(self) -> list[Explanation]:
+        """Explanations of the four fits with the least approximate cost.
+
+        Fits are omitted if their residual share exceeds 20 times the least residual share by more
+        than 0.1 %.
+        """
+        nearest = self._nearest_fits(MAX_EVALUATED_FITS)
+        largest_residual = (
+            MAX_RESIDUAL_RATIO
+            * min(each.plate.least_residual_share for each in nearest)
+            + EXPLAINED_SHARE
+        )
         return [
             each
             for fit in nearest
-            if fit.plate.least <= most
+            if fit.plate.least_residual_share <= largest_residual
             for each in fit.explanations
         ]
 
-    def _at_best_zeros(self, count: int) -> list[Explanation]:
+    def _refined_explanations(self, count: int) -> list[Explanation]:
+        """Explanations of the nearest fits with optimised joint zeros.
+
+        Args:
+            count: Number of fits with the least approximate cost; those whose last hypothesis is a
+                joint zero are refined.
+        """
         fits = [
-            self._refine(each) for each in self._nearest(count) if _moves_zero(each)
+            self._refine(each)
+            for each in self._nearest_fits(count)
+            if _moves_zero(each)
         ]
         return [each for fit in fits for each in fit.explanations]
 
     def _refine(self, fit: HypothesisFit) -> HypothesisFit:
-        """A fit whose last zero is the best angle, not one that was tried."""
+        """Fit with the last joint zero optimised, within 25 deg, for the least cost."""
         from scipy.optimize import minimize_scalar
 
-        *before, last = fit.hypotheses
+        *others, last = fit.hypotheses
 
-        def moved(step: float) -> HypothesisFit:
+        def shifted_fit(step: float) -> HypothesisFit:
             angles = tuple(round(angle + step, 6) for angle in last.values)
-            return self._fit(*before, replace(last, values=angles)) or fit
+            return self._fit(*others, replace(last, values=angles)) or fit
 
         best = minimize_scalar(
-            lambda step: moved(step).misfit,
-            bounds=(-STEP, STEP),
-            options={"xatol": FINEST},
+            lambda step: shifted_fit(step).approximate_cost,
+            bounds=(-MAX_ZERO_STEP, MAX_ZERO_STEP),
+            options={"xatol": ZERO_TOLERANCE},
         )
-        return min(fit, moved(float(best.x)), key=lambda each: each.misfit)
+        return min(
+            fit, shifted_fit(float(best.x)), key=lambda each: each.approximate_cost
+        )
 
 
-def _likeliest(explanations: Sequence[Explanation]) -> Explanation:
+def _likeliest_explanation(explanations: Sequence[Explanation]) -> Explanation:
+    """Explanation with the least cost."""
     return min(explanations, key=lambda each: each.cost)
 
 
 def _moves_zero(fit: HypothesisFit) -> bool:
-    """Whether its last hypothesis is another zero."""
+    """Test whether the last hypothesis of a fit is another joint zero."""
     return bool(fit.hypotheses) and fit.hypotheses[-1].kind == "zero"
 
 
 def position_hypotheses(
-    tree: Tree, position: Array, beside: Sequence[Hypothesis]
+    tree: Tree, position: Array, applied: Sequence[Hypothesis]
 ) -> Iterator[Hypothesis]:
-    """Yield hypotheses on position units, signs, zeros and joint orders.
+    """Yield hypotheses on units, signs, zeros and order of the joint positions.
+
+    Degrees or radians are proposed only if the size of the motion makes them plausible. Zeros
+    shifted by 90 or 180 deg, and orders, are proposed only for robots of at most 12 joints. A free
+    base adds hypotheses on its unit and on the order of its quaternion.
 
     Args:
-        tree: The robot.
-        position: (T, n) [rad or m].
-        beside: Hypotheses that hold.
+        tree: Robot.
+        position: Joint positions, (T, n) [rad or m], at T instants.
+        applied: Hypotheses already applied.
     """
-    own = own_joints(tree)
-    turning = [k for k in own if tree.joints[k].revolute]
-    before = {each.kind for each in beside}
-    if turning and not before & {"degrees", "radians"}:
-        if np.abs(position[:, turning]).max() > BEYOND:
-            yield Hypothesis("degrees", tuple(turning))
-        if np.ptp(position[:, turning], axis=0).max() < LITTLE:
-            yield Hypothesis("radians", tuple(turning))
-    if tree.floating and "base_unit" not in before:
+    joints = joints_without_free_base(tree)
+    revolute = [k for k in joints if tree.joints[k].revolute]
+    kinds = {each.kind for each in applied}
+    if revolute and not kinds & {"degrees", "radians"}:
+        if np.abs(position[:, revolute]).max() > DEGREES_THRESHOLD:
+            yield Hypothesis("degrees", tuple(revolute))
+        if np.ptp(position[:, revolute], axis=0).max() < RADIANS_THRESHOLD:
+            yield Hypothesis("radians", tuple(revolute))
+    if tree.floating and "base_unit" not in kinds:
         yield from (Hypothesis("base_unit", (), (factor,)) for factor in BASE_UNITS)
-    if tree.floating and "quaternion_order" not in before:
+    if tree.floating and "quaternion_order" not in kinds:
         yield Hypothesis("quaternion_order", (), SCALAR_LAST)
-    yield from (Hypothesis("position_sign", (joint,)) for joint in own)
-    if tree.n > MOST_JOINTS:
+    yield from (Hypothesis("position_sign", (joint,)) for joint in joints)
+    if tree.n > MAX_SEARCHED_JOINTS:
         return
-    for joint, angle in product(_inner_joints(tree), QUARTERS):
+    for joint, angle in product(_inner_joints(tree), USUAL_ZERO_OFFSETS):
         yield Hypothesis("zero", (joint,), (angle,))
-    for order in orders(own):
-        moved = tuple(k for k in own if order[k] != k)
-        if all(tree.joints[k].kind == tree.joints[order[k]].kind for k in moved):
-            yield Hypothesis("position_order", moved, order)
+    for order in candidate_orders(joints):
+        affected = tuple(k for k in joints if order[k] != k)
+        if all(tree.joints[k].kind == tree.joints[order[k]].kind for k in affected):
+            yield Hypothesis("position_order", affected, order)
 
 
-def rarer_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
-    """Yield hypotheses on joint zeros by odd multiples of 45 degrees.
+def oblique_zero_hypotheses(tree: Tree) -> Iterator[Hypothesis]:
+    """Yield hypotheses on joint zeros shifted by odd multiples of 45 degrees.
 
     Args:
-        tree: The robot.
+        tree: Robot.
     """
-    for joint in _inner_joints(tree) if tree.n <= MOST_JOINTS else []:
-        yield from (Hypothesis("zero", (joint,), (angle,)) for angle in SCANNED)
+    for joint in _inner_joints(tree) if tree.n <= MAX_SEARCHED_JOINTS else []:
+        yield from (Hypothesis("zero", (joint,), (angle,)) for angle in RARE_ZEROS)
 
 
 def _inner_joints(tree: Tree) -> list[int]:
-    """Joints that turn and carry others: the last one's zero only renames its body's parameters."""
-    return [k for k in own_joints(tree) if tree.joints[k].revolute and tree.children(k)]
+    """Indices of revolute joints that carry other joints.
+
+    For a last joint, another zero is equivalent to other parameters of its body.
+    """
+    return [
+        k
+        for k in joints_without_free_base(tree)
+        if tree.joints[k].revolute and tree.children(k)
+    ]

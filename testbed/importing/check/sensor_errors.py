@@ -1,4 +1,4 @@
-"""Sensor errors that change in time, as causes of what no reading of a plate explains."""
+"""Time-varying sensor errors as causes of a force plate's residuals."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose, phrase
-from testbed.core.base.errors import few
-from testbed.core.recordings.columns import AXES
+from testbed.core.base.diagnostics import Diagnostic, cause_phrase, make_diagnostic
+from testbed.core.base.errors import shortened_list
+from testbed.core.recordings.columns import WRENCH_COMPONENTS
 from testbed.importing.check.explanation import Explanation
-from testbed.importing.check.plate import MIXED, TINY, WEIGHT
-from testbed.importing.import_report import in_mapping
+from testbed.importing.check.plate import (
+    CROSSTALK_SHARE,
+    LOG_RESIDUAL_WEIGHT,
+    RESIDUAL_SHARE_FLOOR,
+)
+from testbed.importing.import_report import mapping_advice
 from testbed.sensors.catalogue import candidate_errors
 from testbed.sensors.errors.plate_delay import PlateDelay
 from testbed.sensors.errors.plate_gain import PlateGain
@@ -25,28 +29,29 @@ from testbed.sensors.systematic_error import (
     SystematicError,
 )
 
-LIKELY = 6.0
-"""Log-likelihood ratio from which a sensor error is named [nats]."""
+MIN_GAIN = 6.0
+"""Log-likelihood ratio from which a sensor error is reported [nats]."""
 
-CLEAR = 5.0
-"""Sigmas from which a coefficient is written."""
+Z_THRESHOLD = 5.0
+"""Normalised value from which a coefficient is reported."""
 
 
-ROUNDS = 2
-"""Regressions for an error, each at the wrench that the last has explained."""
+MAX_ITERATIONS = 2
+"""Number of regressions per error, each with columns from the last explained wrench."""
 
-GAIN = 0.3
-"""Sigma of the channels' gains, which are free beside: an error from time 0 on has a mean."""
+GAIN_SIGMA = 0.3
+"""Standard deviation of the channels' gains, estimated jointly: an error that grows from time 0 has
+a mean."""
 
 
 @dataclass(frozen=True, eq=False)
 class SensorErrorFit:
-    """Coefficients of one sensor error, fitted beside the robot's parameters.
+    """Coefficients of one sensor error, estimated together with the robot's parameters.
 
     Attributes:
-        error: The sensor error.
-        coefficients: Those that are clear, and their values.
-        unexplained: Part of each channel's variance with the error, (6,).
+        error: Type of the sensor error.
+        coefficients: Significant coefficients (beyond 5 standard deviations) and their values.
+        unexplained: Unexplained share of each channel's variance with the error, (6,).
         gain: Log-likelihood ratio [nats].
     """
 
@@ -55,83 +60,113 @@ class SensorErrorFit:
     unexplained: Array
     gain: float
 
-    def explains(self, best: Explanation) -> bool:
-        """Check whether nothing odd is left of the plate, noise aside.
+    def explains_plate(self, best: Explanation) -> bool:
+        """Test whether, with the error, the residuals of the plate are within its noise.
+
+        They are if the unexplained share of each channel is below 0.3 % plus 3 times the noise
+        share.
 
         Args:
             best: Explanation of the recording without the error.
         """
-        return bool((self.unexplained < MIXED + 3 * best.plate.noise).all())
+        return bool((self.unexplained < CROSSTALK_SHARE + 3 * best.plate.noise).all())
 
 
-def sensor_error(best: Explanation) -> SensorErrorFit | None:
-    """Sensor error that explains a plate best beside its reading; None where none is likely.
+def likeliest_sensor_error(best: Explanation) -> SensorErrorFit | None:
+    """Sensor error that best explains a plate's residuals; None if no error is likely.
 
-    Errors that do not change in time are readings of the plate, or crosstalk.
-
-    Args:
-        best: Explanation of the recording; with a wrench.
-    """
-    fits = sorted(_fits(best), key=lambda each: -each.gain)
-    return fits[0] if fits and fits[0].gain > LIKELY and fits[0].coefficients else None
-
-
-def diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnostic:
-    """Diagnostic of a sensor error, with the lines of the mapping.
+    An error is likely if its gain exceeds `MIN_GAIN` and it has a significant coefficient. Errors
+    that are constant in time are not tested: hypotheses on the plate cover them, or they are
+    crosstalk.
 
     Args:
-        fit: The sensor error.
-        best: Explanation of the recording without it.
+        best: Best explanation of the recording, which has a wrench.
     """
-    shares, left = best.plate.unexplained, fit.unexplained
-    channel = int(np.argmax(np.log((shares + TINY) / (left + TINY))))
+    fits = sorted(_sensor_error_fits(best), key=lambda each: -each.gain)
+    return (
+        fits[0] if fits and fits[0].gain > MIN_GAIN and fits[0].coefficients else None
+    )
+
+
+def sensor_error_diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnostic:
+    """Diagnostic of a sensor error, with the corrected lines of the mapping.
+
+    Args:
+        fit: Fit of the sensor error.
+        best: Explanation of the recording without the error.
+    """
+    shares, remaining = best.plate.unexplained, fit.unexplained
+    channel = int(
+        np.argmax(
+            np.log((shares + RESIDUAL_SHARE_FLOOR) / (remaining + RESIDUAL_SHARE_FLOOR))
+        )
+    )
     lines = [
         ("errors", f'"{c.name}"', float(f"{value:.4g}"))
         for c, value in fit.coefficients
     ]
     sizes = [f"{c.name} {value:.3g} {c.unit}".rstrip() for c, value in fit.coefficients]
-    return diagnose(
+    return make_diagnostic(
         "plate.sensor-error",
         "the plate",
         shares[channel],
-        channel=AXES[channel],
+        channel=WRENCH_COMPONENTS[channel],
         causes=[fit.error.term],
-        cause=phrase(fit.error.term),
-        size=few(sizes),
+        cause=cause_phrase(fit.error.term),
+        size=shortened_list(sizes),
         before=f"{100 * shares[channel]:.2g} %",
-        after=f"{100 * left[channel]:.2g} %",
-        lines=in_mapping(lines),
+        after=f"{100 * remaining[channel]:.2g} %",
+        lines=mapping_advice(lines),
     )
 
 
-def _fits(best: Explanation) -> Iterator[SensorErrorFit]:
-    """Fits of all sensor errors that change in time."""
+def _sensor_error_fits(best: Explanation) -> Iterator[SensorErrorFit]:
+    """Yield the fits of all time-varying sensor errors, one error at a time.
+
+    Constant gains of the channels are fitted as well; `gain` is relative to the fit of these gains
+    alone.
+    """
     wrench = best.fit.plate.wrench(best.plate)
-    # columns are of the explained wrench, not the measured one: noise on both sides would make
-    # coefficients too small; of the one with its gains, which the error multiplies
-    plain = wrench - _regression(best, np.zeros((len(wrench), 6, 0)))[3]
-    before, *_ = _regression(best, _gains(plain))
-    for error in filter(_changes, candidate_errors()):
-        explained = plain
-        for _ in range(ROUNDS):
-            columns = _columns(error, best, explained)
-            every = np.concatenate([columns, _gains(explained)], axis=2)
-            after, values, sigma, left = _regression(best, every)
-            explained = wrench - left - columns @ values[:-6]
-        gain = WEIGHT * float(np.log((before + TINY) / (after + TINY)).sum())
+    # columns are computed from the explained wrench, not the measured one: noise on both sides
+    # would bias coefficients towards zero; with gains, which the error multiplies
+    initially_explained = wrench - _regression(best, np.zeros((len(wrench), 6, 0)))[3]
+    before, *_ = _regression(best, _gain_columns(initially_explained))
+    for error in filter(_is_time_varying, candidate_errors()):
+        explained = initially_explained
+        for _ in range(MAX_ITERATIONS):
+            columns = _error_columns(error, best, explained)
+            all_columns = np.concatenate([columns, _gain_columns(explained)], axis=2)
+            after, values, sigma, residual = _regression(best, all_columns)
+            explained = wrench - residual - columns @ values[:-6]
+        gain = LOG_RESIDUAL_WEIGHT * float(
+            np.log(
+                (before + RESIDUAL_SHARE_FLOOR) / (after + RESIDUAL_SHARE_FLOOR)
+            ).sum()
+        )
         coefficients = error.coefficients(best.fit.prior.tree)
-        pairs = zip(coefficients, values.tolist(), CLEAR * sigma, strict=False)
-        clear = [(each, value) for each, value, least in pairs if abs(value) > least]
-        yield SensorErrorFit(error, tuple(clear), after, gain)
+        pairs = zip(coefficients, values.tolist(), Z_THRESHOLD * sigma, strict=False)
+        significant = [
+            (each, value) for each, value, threshold in pairs if abs(value) > threshold
+        ]
+        yield SensorErrorFit(error, tuple(significant), after, gain)
 
 
-def _gains(wrench: Array) -> Array:
-    """Columns of the channels' gains, (T, 6, 6)."""
-    return GAIN * PlateGain.derivative(wrench, np.zeros(len(wrench)), np.zeros(6))
+def _gain_columns(wrench: Array) -> Array:
+    """Regressor columns of the channels' gains, (T, 6, 6), for the explained wrench, (T, 6)."""
+    return GAIN_SIGMA * PlateGain.derivative(wrench, np.zeros(len(wrench)), np.zeros(6))
 
 
 def _regression(best: Explanation, columns: Array) -> tuple[Array, Array, Array, Array]:
-    """Unexplained parts of the channels, (6,), values and sigmas of columns, (k,), residual."""
+    """Regression of the wrench on robot parameters and additional columns.
+
+    Args:
+        best: Explanation of the recording.
+        columns: Additional columns, (T, 6, k), at T instants.
+
+    Returns:
+        Unexplained shares of the channels, (6,), values and standard deviations of the columns'
+        coefficients, (k,), and residual, (T, 6).
+    """
     evidence, plate = best.fit.plate, best.plate
     variance = np.maximum(evidence.wrench(plate).var(axis=0), 1e-12)
     for _ in range(2):  # sigmas are of the residual with the columns
@@ -140,19 +175,24 @@ def _regression(best: Explanation, columns: Array) -> tuple[Array, Array, Array,
     return plate.unexplained, values, sigma, residual
 
 
-def _changes(error: type[SystematicError]) -> bool:
-    """Whether an error of a plate changes in time."""
+def _is_time_varying(error: type[SystematicError]) -> bool:
+    """Test whether an error of a force plate varies with time."""
     if issubclass(error, ClockError):
         return error is not PlateDelay
     return issubclass(error, PlateError) and error.term not in PlateMatrix.contains
 
 
-def _columns(error: type[SystematicError], best: Explanation, wrench: Array) -> Array:
-    """Derivative of a wrench, (T, 6), by coefficients, (T, 6, k); time is from its middle on."""
+def _error_columns(
+    error: type[SystematicError], best: Explanation, wrench: Array
+) -> Array:
+    """Derivatives of a wrench, (T, 6), with respect to a sensor error's coefficients, (T, 6, k).
+
+    Time is measured from the middle of the recording.
+    """
     time = best.fit.instants.motion.t
     time = time - time.mean()
     if issubclass(error, ClockError):
         rate = best.fit.instants.wrench_rate @ best.plate.map.T
-        late = np.broadcast_to(error.lateness(time), len(time))
-        return np.asarray(-(rate * late[:, None])[..., None])
+        lateness = np.broadcast_to(error.delay_derivative(time), len(time))
+        return np.asarray(-(rate * lateness[:, None])[..., None])
     return error.derivative(wrench, time, error.neutral(best.fit.prior.tree))

@@ -1,4 +1,4 @@
-"""Readings with a torque in proportion to a joint's position, as of a cable or a spring."""
+"""Interpretations of a log with the torque of a spring or cable at one joint."""
 
 from __future__ import annotations
 
@@ -12,46 +12,51 @@ from testbed.importing.check.remedies import Hypothesis
 from testbed.importing.check.torque_products import spring_torques
 from testbed.importing.check.torque_readings import LogReading, TorqueCase
 
-ODDS = -4.0
-"""Logarithm of the prior odds [nats]."""
+LOG_ODDS = -4.0
+"""Log prior odds of a spring at one joint [nats]."""
 
-FAINT = 5.0
-"""Nats that a spring must promise to be judged."""
+MIN_EXPECTED_GAIN = 5.0
+"""Least expected log evidence gain for a spring to be fitted [nats]."""
 
 
 def spring_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogReading]:
-    """Yield readings with a spring at one joint, screened by a score test.
+    """Yield interpretations of the log with a spring at one joint, after a score test.
+
+    A spring is fitted if the expected gain of log evidence exceeds `MIN_EXPECTED_GAIN`.
 
     Args:
-        case: The log.
-        joints: Indices of those with torques that count.
+        case: Joint torques of a log, with robot and prior.
+        joints: Indices of the joints with usable torques.
     """
-    promise = _promise(case)
+    expected_gains = _expected_gains(case)
     for joint in joints:
-        if promise[joint] > FAINT and joint not in case.sprung:
-            reading = replace(case, sprung=(*case.sprung, joint)).as_given
+        if (
+            expected_gains[joint] > MIN_EXPECTED_GAIN
+            and joint not in case.spring_joints
+        ):
+            reading = replace(case, spring_joints=(*case.spring_joints, joint)).as_given
             hypothesis = Hypothesis("spring", (joint,))
             yield replace(
                 reading,
                 hypotheses=(hypothesis,),
                 kind="spring",
-                odds=ODDS,
+                log_odds=LOG_ODDS,
             )
 
 
-def _promise(case: TorqueCase) -> Array:
-    """First-order log evidence gain of a spring at each joint, (n,) [nats]."""
-    first, products, unit = case.as_given, case.products, np.eye(case.tree.n)
-    springs = spring_torques(case.signals, case.size).T * products.counted
+def _expected_gains(case: TorqueCase) -> Array:
+    """Expected log evidence gain from a spring at each joint, to first order, (n,) [nats]."""
+    initial, products, unit = case.as_given, case.products, np.eye(case.tree.n)
+    springs = spring_torques(case.signals, case.channel_rms).T * products.valid
     cross = (products.columns.transpose(0, 2, 1) @ springs[:, :, None])[:, :, 0]
     if products.gravity_columns.shape[2]:
         heavy = np.tensordot(products.gravity_columns, case.gravity, ([2], [0]))
-        cross[:, : products.shared] += (springs[:, None] @ heavy)[:, 0]
+        cross[:, : products.shared_count] += (springs[:, None] @ heavy)[:, 0]
     square = (springs**2).sum(axis=1)
-    gradient, information = first.evidence.marginal(
+    gradient, information = initial.evidence.additional_gradient(
         cross[:, :, None] * unit[:, None],
         square[:, None, None] * unit[:, :, None] * unit[:, None],
-        (springs * first.residual).sum(axis=1)[:, None] * unit,
+        (springs * initial.residual).sum(axis=1)[:, None] * unit,
     )
     spread = np.diagonal(information)
     return np.asarray(0.5 * gradient**2 / (1 + spread) - 0.5 * np.log1p(spread))

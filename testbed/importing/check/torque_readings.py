@@ -1,4 +1,4 @@
-"""Readings of a log of torques, and how likely each is by a robot's model file."""
+"""Interpretations of a log of joint torques, with Bayesian evidence."""
 
 from __future__ import annotations
 
@@ -10,52 +10,54 @@ from scipy.special import log_ndtr
 
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.evidence import (
-    FEWEST,
+    MIN_CHANNEL_SAMPLES,
     ChannelProducts,
     Evidence,
-    evidence,
+    linear_evidence,
 )
-from testbed.core.robot.gravity import SIZE
+from testbed.core.robot.gravity import DEFAULT_GRAVITY
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.body_prior import BodyPrior
-from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis
+from testbed.importing.check.remedies import MAX_SEARCHED_JOINTS, Hypothesis
 from testbed.importing.check.torque_products import (
     TorqueProducts,
-    friction,
+    friction_coefficients,
     torque_products,
 )
 from testbed.importing.check.torque_signals import TorqueSignals
 
-FLOOR, FAINT, QUIET = 0.004, 0.01, 0.02
-"""Noise in parts of a torque's rms at least; rms in parts of the largest that a torque counts with
-at least, and that its noise counts with."""
+NOISE_FLOOR, MIN_RMS_SHARE, MIN_NOISE_RMS_SHARE = 0.004, 0.01, 0.02
+"""Least noise of a torque relative to its rms; least rms, relative to the largest, of a channel,
+and for its noise."""
 
-MOST = 80
-"""Instants of a channel that count at most: errors of models do not average out."""
+MAX_EFFECTIVE_INSTANTS = 80
+"""Largest effective number of instants of a channel: model errors do not average out."""
 
-DRIVES = 15.0
-"""Most that friction that drives costs, each coefficient [nats]."""
+MAX_FRICTION_COST = 15.0
+"""Largest cost of a negative friction coefficient [nats]."""
 
-CORRELATED = 0.05
-"""Autocorrelation of residuals from which they are correlated."""
+CORRELATION_THRESHOLD = 0.05
+"""Autocorrelation of residuals above which they are correlated."""
 
-SCREENED = 80
-"""Instants by which readings of other positions are compared at first."""
+SCREENING_INSTANTS = 80
+"""Number of instants for the first comparison of readings with other positions."""
 
 
 @dataclass(frozen=True, eq=False)
 class LogReading:
     """Interpretation of a log by hypotheses on its mapping and gravity, with its evidence.
 
+    The torques have C channels at T instants.
+
     Attributes:
-        hypotheses: About what the mapping says, all together; none for the log as given.
-        evidence: Of its torques.
-        products: Of its columns.
-        gravity: (3,) [m/s^2].
-        measured: Other torques than those of the products, (C, T), or None.
-        kind: Family of hypotheses.
-        sigma: Standard deviations of what is continuous: of a direction [rad], a delay [s].
-        odds: Logarithm of the prior odds and of the volume of what is continuous [nats].
+        hypotheses: Hypotheses that hold together; empty for the log as given.
+        evidence: Evidence of the torques.
+        products: Products of the regressor columns.
+        gravity: Gravity, (3,) [m/s^2].
+        measured: Torques, (C, T), if they differ from the torques in `products`; otherwise None.
+        kind: Category of the hypotheses.
+        sigma: Standard deviations of continuous values: of a direction [rad] or a delay [s].
+        log_odds: Log prior odds plus log posterior volume of continuous values [nats].
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -65,45 +67,45 @@ class LogReading:
     measured: Array | None = None
     kind: str = "as given"
     sigma: Array = field(default_factory=lambda: np.zeros(0))
-    odds: float = 0.0
+    log_odds: float = 0.0
 
     @property
-    def log(self) -> float:
-        """Logarithm of the posterior probability, up to a constant of the log [nats]."""
-        return self.evidence.log + self.odds
+    def log_posterior(self) -> float:
+        """Log posterior probability, up to a constant that depends on the log [nats]."""
+        return self.evidence.log_evidence + self.log_odds
 
     @cached_property
     def residual(self) -> Array:
-        """Residual torques, zero where none count, (C, T)."""
+        """Residual torques, zero for invalid samples, (C, T)."""
         return self.products.residual(self.gravity, self.evidence, self.measured)
 
     @cached_property
-    def whole(self) -> Array:
-        """Sums of squared torques per channel, (C,) [N^2 m^2 or N^2]."""
-        return self.products.whole(self.measured)
+    def square_sums(self) -> Array:
+        """Sum of squared torques for each channel, (C,) [N^2 m^2 or N^2]."""
+        return self.products.square_sums(self.measured)
 
-    def pooled(self, live: Array) -> float:
+    def relative_rms(self, live: Array) -> float:
         """Rms residual over all joints, relative to the rms torque.
 
         Args:
-            live: Channels that count, (C,).
+            live: Mask of usable channels, (C,).
         """
-        whole = self.whole[live].sum()
-        return float(np.sqrt(self.evidence.residual[live].sum() / whole))
+        square_sum = self.square_sums[live].sum()
+        return float(np.sqrt(self.evidence.residual_squares[live].sum() / square_sum))
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueCase:
-    """Joint torques of a log, the robot, and the prior of its bodies.
+    """Joint torques of a log (C channels), the robot, and the prior of its bodies.
 
     Attributes:
-        tree: The robot.
-        signals: Of the log.
-        prior: Of the robot's bodies.
-        gravity: As the log states, (3,) [m/s^2].
-        inflation: Instants of each channel that count as one, (C,).
-        fixed: Whether positions and gravity are known, as by a force plate.
-        sprung: Indices of joints with a torque in proportion to their position.
+        tree: Robot.
+        signals: Joint torques and motion of the log.
+        prior: Prior of the robot's bodies.
+        gravity: Gravity as stated by the log, (3,) [m/s^2].
+        inflation: Number of correlated instants of each channel that count as one, (C,).
+        motion_known: True if positions and gravity are known, for example from a force plate.
+        spring_joints: Indices of joints with a spring.
     """
 
     tree: Tree
@@ -111,66 +113,85 @@ class TorqueCase:
     prior: BodyPrior
     gravity: Array
     inflation: Array
-    fixed: bool = False
-    sprung: tuple[int, ...] = ()
+    motion_known: bool = False
+    spring_joints: tuple[int, ...] = ()
 
     @cached_property
-    def live(self) -> Array:
-        """Whether each torque channel has enough samples, (C,)."""
-        return np.asarray(self.signals.counted.sum(axis=0) > FEWEST)
+    def usable_channels(self) -> Array:
+        """Mask of torque channels with enough valid samples, (C,)."""
+        return np.asarray(self.signals.valid.sum(axis=0) > MIN_CHANNEL_SAMPLES)
 
     @cached_property
-    def size(self) -> Array:
-        """Rms of each channel's torques, (C,) [N m or N]."""
-        counted = self.signals.counted
+    def channel_rms(self) -> Array:
+        """Rms of each channel's torques, (C,) [N m or N]; at least 1 % of the largest rms."""
+        counted = self.signals.valid
         square = (counted * self.signals.torque**2).sum(axis=0)
-        rms = np.sqrt(square / np.maximum(counted.sum(axis=0), 1)) * self.live
-        return np.asarray(np.maximum(rms, FAINT * rms.max() + 1e-9))
+        rms = (
+            np.sqrt(square / np.maximum(counted.sum(axis=0), 1)) * self.usable_channels
+        )
+        return np.asarray(np.maximum(rms, MIN_RMS_SHARE * rms.max() + 1e-9))
 
     @cached_property
-    def floor(self) -> Array:
-        """Least noise of each channel, (C,)."""
-        return np.asarray(FLOOR * np.maximum(self.size, QUIET * self.size.max()))
+    def noise_floor(self) -> Array:
+        """Least standard deviation of each channel's noise, (C,) [N m or N]: 0.4 % of the rms."""
+        return np.asarray(
+            NOISE_FLOOR
+            * np.maximum(self.channel_rms, MIN_NOISE_RMS_SHARE * self.channel_rms.max())
+        )
 
     @cached_property
-    def standard(self) -> float:
-        """Magnitude of gravity [m/s^2]."""
-        return float(np.linalg.norm(self.gravity)) or SIZE
+    def gravity_magnitude(self) -> float:
+        """Magnitude of the stated gravity, or of standard gravity if that is zero [m/s^2]."""
+        return float(np.linalg.norm(self.gravity)) or DEFAULT_GRAVITY
 
     @cached_property
     def products(self) -> TorqueProducts:
-        """Column products of the log as given, with free gravity for few joints."""
-        return self.products_under(self.gravity if self.fixed or self.large else None)
+        """Products of regressor columns for the log as given.
+
+        Gravity is free for robots with up to 12 joints, unless positions and gravity are known.
+        """
+        return self.products_under(
+            self.gravity if self.motion_known or self.has_many_joints else None
+        )
 
     @property
-    def large(self) -> bool:
-        """Whether the joints are too many for all hypotheses."""
-        return self.tree.n > MOST_JOINTS
+    def has_many_joints(self) -> bool:
+        """True if the robot has too many joints for testing all hypotheses."""
+        return self.tree.n > MAX_SEARCHED_JOINTS
 
     def products_under(self, gravity: Array | None) -> TorqueProducts:
-        """Column products of the log under a given or free gravity.
+        """Products of regressor columns for the log under a given or free gravity.
 
         Args:
-            gravity: (3,) [m/s^2], where it is not open.
+            gravity: Fixed gravity, (3,) [m/s^2]; None for a free gravity.
         """
         return torque_products(
-            self.tree, self.signals, self.prior, self.size, gravity, self.sprung
+            self.tree,
+            self.signals,
+            self.prior,
+            self.channel_rms,
+            gravity,
+            self.spring_joints,
         )
 
     @cached_property
     def as_given(self) -> LogReading:
-        """Reading of the log as its mapping states it."""
+        """Interpretation of the log as stated by its mapping."""
         estimate = self.fit(self.products, self.gravity)
         return LogReading((), estimate, self.products, self.gravity)
 
     def with_inflation(self, reading: LogReading) -> TorqueCase:
-        """Case with inflation factors from the residual autocorrelation of a reading.
+        """Case with inflation factors from the residual autocorrelation of an interpretation.
+
+        The factors leave at most 80 effective instants of each channel.
 
         Args:
-            reading: The likeliest.
+            reading: Likeliest interpretation.
         """
-        count = self.signals.counted.sum(axis=0)
-        inflation = np.maximum(correlation_times(reading.residual), count / MOST)
+        count = self.signals.valid.sum(axis=0)
+        inflation = np.maximum(
+            correlation_times(reading.residual), count / MAX_EFFECTIVE_INSTANTS
+        )
         changed = replace(self, inflation=inflation)
         changed.__dict__["products"] = self.products
         return changed
@@ -183,14 +204,14 @@ class TorqueCase:
         variance: Array | None = None,
         rounds: int = 4,
     ) -> Evidence:
-        """Evidence of the torques for the columns of one reading.
+        """Evidence of the torques with the regressor columns of one interpretation.
 
         Args:
-            products: Of the columns.
-            gravity: (3,) [m/s^2].
-            measured: Other torques, (C, T).
-            variance: Of each channel's noise, where its search begins, (C,).
-            rounds: Of that search.
+            products: Products of the columns.
+            gravity: Gravity, (3,) [m/s^2].
+            measured: Torques, (C, T); default: the torques of the log.
+            variance: Start values of the channels' noise variances, (C,).
+            rounds: Number of iterations for the noise variances.
         """
         inputs = products.products(gravity, measured)
         return self.evidence(inputs, variance, rounds)
@@ -200,19 +221,28 @@ class TorqueCase:
     ) -> Evidence:
         """Evidence of a model with dissipative friction.
 
-        Args:
-            products: Of its columns and measurements.
-            variance: Of each channel's noise, where its search begins, (C,).
-            rounds: Of that search.
-        """
-        estimate = evidence(products, self.floor, self.inflation, variance, rounds)
-        return replace(estimate, log=estimate.log + self._braking(estimate))
+        The log posterior probability of positive friction coefficients is added to the log evidence
+        of the linear model.
 
-    def _braking(self, estimate: Evidence) -> float:
-        """Log posterior probability of dissipative friction coefficients [nats]."""
-        values, sigma = friction(estimate)
-        logs = np.maximum(log_ndtr(values / sigma), -DRIVES)
-        return float(logs[self.live].sum())
+        Args:
+            products: Products of the columns and measurements.
+            variance: Start values of the channels' noise variances, (C,).
+            rounds: Number of iterations for the noise variances.
+        """
+        estimate = linear_evidence(
+            products, self.noise_floor, self.inflation, variance, rounds
+        )
+        return replace(
+            estimate,
+            log_evidence=estimate.log_evidence
+            + self._friction_log_probability(estimate),
+        )
+
+    def _friction_log_probability(self, estimate: Evidence) -> float:
+        """Log posterior probability of positive friction coefficients, at least -15 each [nats]."""
+        values, sigma = friction_coefficients(estimate)
+        logs = np.maximum(log_ndtr(values / sigma), -MAX_FRICTION_COST)
+        return float(logs[self.usable_channels].sum())
 
     def with_torques(
         self,
@@ -221,13 +251,13 @@ class TorqueCase:
         measured: Array,
         kind: str,
     ) -> LogReading:
-        """Reading with other torques and the same columns.
+        """Interpretation with other torques and the same regressor columns.
 
         Args:
-            hypotheses: What it says.
-            odds: Logarithm of the prior odds [nats].
-            measured: Its torques, (C, T).
-            kind: Family of hypotheses.
+            hypotheses: Hypotheses of the interpretation.
+            odds: Log prior odds [nats].
+            measured: Torques of the interpretation, (C, T).
+            kind: Category of the hypotheses.
         """
         estimate = self.fit(self.products, self.gravity, measured)
         return LogReading(
@@ -237,33 +267,33 @@ class TorqueCase:
             self.gravity,
             measured,
             kind,
-            odds=odds,
+            log_odds=odds,
         )
 
-    def corrected(
+    def corrected_reading(
         self, hypotheses: tuple[Hypothesis, ...], odds: float, kind: str, count: int = 0
     ) -> LogReading:
-        """Reading with columns of corrected signals.
+        """Interpretation with regressor columns from signals corrected by hypotheses.
 
         Args:
-            hypotheses: What it says.
-            odds: Logarithm of the prior odds [nats].
-            kind: Family of hypotheses.
-            count: Instants by which it is judged; all by default.
+            hypotheses: Hypotheses of the interpretation.
+            odds: Log prior odds [nats].
+            kind: Category of the hypotheses.
+            count: Largest number of instants; 0 for all.
         """
         signals = self.signals.thinned(count) if count else self.signals
-        case = replace(self, signals=signals.corrected(*hypotheses))
+        case = replace(self, signals=signals.with_corrections(*hypotheses))
         products = case.products_under(self.gravity)
         estimate = case.fit(products, self.gravity)
         return LogReading(
-            hypotheses, estimate, products, self.gravity, kind=kind, odds=odds
+            hypotheses, estimate, products, self.gravity, kind=kind, log_odds=odds
         )
 
-    def again(self, reading: LogReading) -> LogReading:
-        """Reading re-evaluated with the inflation factors of this case.
+    def reevaluated_reading(self, reading: LogReading) -> LogReading:
+        """Interpretation re-evaluated with the inflation factors of this case.
 
         Args:
-            reading: One that was made with another.
+            reading: Interpretation evaluated with other inflation factors.
         """
         estimate = self.fit(
             reading.products, reading.gravity, reading.measured, rounds=5
@@ -274,20 +304,19 @@ class TorqueCase:
 def correlation_times(residual: Array) -> Array:
     """Integrated autocorrelation times of residuals, in samples, (C,).
 
-    Args:
-        residual: (C, T).
-    """
-    from scipy.signal import correlate
+    The sum ends before the first autocorrelation below 0.05; times are between 1 and T / 12.
 
+    Args:
+        residual: Residuals of C channels at T instants, (C, T).
+    """
     times = np.ones(len(residual))
     samples = residual.shape[1]
     for k, channel in enumerate(residual):
         if not channel.any():
             continue
-        lagged = correlate(channel, channel, method="fft")[samples - 1 :]
+        lagged = np.correlate(channel, channel, "full")[samples - 1 :]
         correlation = lagged / lagged[0]
-        small = np.flatnonzero(correlation[1:] < CORRELATED)
-        last = small[0] + 1 if len(small) else samples
-        total = 1 + 2 * correlation[1:last].sum()
-        times[k] = np.clip(total, 1, max(samples / 12, 1))
+        correlated = np.append(correlation[1:] >= CORRELATION_THRESHOLD, False)
+        last = 1 + np.argmin(correlated)
+        times[k] = np.clip(1 + 2 * correlation[1:last].sum(), 1, samples / 12)
     return times

@@ -1,7 +1,7 @@
-"""Which reading of a log of torques may be said: the gate between evidence and words.
+"""Bayesian model comparison of interpretations of a torque log, by thresholds.
 
-A reading is said where it leaves what a right one leaves, needs bodies that the robot can have, and
-is far likelier than all others that say something else; else there is no word.
+An interpretation (`LogReading`) is accepted if its residuals are as small as those of correct logs,
+its bodies are possible for the robot, and its evidence exceeds that of all others by far.
 """
 
 from __future__ import annotations
@@ -14,77 +14,85 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.importing.check.delay_readings import (
-    SHORTEST,
+    MIN_DELAY_DURATION,
     common_delay,
     delay_readings,
 )
 from testbed.importing.check.gravity_readings import (
-    AXES,
+    GRAVITY_DIRECTIONS,
     gravity_readings,
-    on_axis,
+    rounded_to_axis,
     with_dispersion,
 )
 from testbed.importing.check.position_readings import position_readings
 from testbed.importing.check.remedies import Hypothesis
 from testbed.importing.check.spring_readings import spring_readings
 from testbed.importing.check.torque_columns import (
-    column_readings,
-    contradictory,
-    size_reading,
-    without_file_gravity,
+    compensated_gravity_readings,
+    has_contradictory_scales,
+    scale_reading,
+    torque_order_and_sign_readings,
 )
-from testbed.importing.check.torque_products import friction
+from testbed.importing.check.torque_products import friction_coefficients
 from testbed.importing.check.torque_readings import LogReading, TorqueCase
 
-MARGIN = 20.0
-"""Nats over the likeliest reading that says something else."""
+MIN_EVIDENCE_RATIO = 20.0
+"""Least log evidence ratio of the best reading to all different readings [nats]."""
 
-ALIKE = 0.5
-"""Nats between readings that are one in the data."""
+EQUAL_EVIDENCE = 0.5
+"""Difference of log evidence below which readings have equal evidence [nats]."""
 
-LEFT, LEFT_OF_ALL = 0.30, 0.15
-"""Rms that may be left of the channel that gains most, and of all torques: right readings leave
-1.6 % of all (median), 4 % (99 %), of real logs 1 to 10 %."""
+MAX_CHANNEL_RESIDUAL, MAX_TOTAL_RESIDUAL = 0.30, 0.15
+"""Largest relative rms residual of the most improved channel, and of all torques. Correct readings
+leave 1.6 % of all (median), 4 % (99 %), of real logs 1 to 10 %."""
 
-FAINT = "no joint's torque is explained clearly better"
-DISAGREE = "the joints do not agree on it"
+SMALL_GAIN_REASON = "no joint's torque is explained clearly better"
+DISAGREEMENT_REASON = "the joints do not agree on it"
+"""Reasons for the rejection of a reading."""
 
-BETTER, LOSS = 1.25, 0.2
-"""Times less that a reading leaves in some channel, or more in any; part of what the channels gain
-that one of them may lose."""
+MIN_IMPROVEMENT, MAX_LOSS_SHARE = 1.25, 0.2
+"""Ratio of rms residuals for a better, or worse, channel; largest loss of one channel relative to
+the total gain of the others."""
 
-HEAVIEST, MASSES = 5.0, 2.0
-"""Sigmas of the model file by which one mass, and the masses' rms, may be off."""
+MAX_MASS_DEVIATION, MAX_MASS_RMS = 5.0, 2.0
+"""Largest normalised deviation of one mass from the model file, and largest rms over masses."""
 
-LARGEST = 2.5
-"""Times that torques may be too large, or too small, by all masses."""
+MAX_TORQUE_SCALE = 2.5
+"""Largest common factor by which torques may be too large, or too small, by all masses."""
 
-DRIVEN, SIGMAS = 0.15, 3.0
-"""Part of a torque, and standard deviations, by which friction may drive a joint."""
+MAX_DRIVING_FRICTION, FRICTION_Z_THRESHOLD = 0.15, 3.0
+"""Largest negative friction: relative to the torque, and in standard deviations."""
 
-ODD = 1.5
-"""Times less, in some channel, that an impossible reading leaves where something has no name."""
+UNMODELLED_IMPROVEMENT = 1.5
+"""Ratio of a channel's residuals from which an impossible reading reveals an unmodelled error."""
 
-BEYOND = 3.0
-"""Sigmas from which a direction is another one."""
+DIRECTION_Z_THRESHOLD = 3.0
+"""Normalised angle from which a direction differs."""
 
-KEPT, TRIED, STEPS = 14, 3, 3
-"""Readings judged again; tried as the first of two; and most mistakes one after another."""
+MAX_REFINED, MAX_PAIR_STARTS, MAX_MISTAKES = 14, 3, 3
+"""Numbers of readings re-evaluated, and tested as the first of two; largest number of successive
+mistakes."""
 
-NEAR = np.cos(np.deg2rad(5))
-"""Cosine of directions that say the same."""
+EQUAL_DIRECTION_COSINE = np.cos(np.deg2rad(5))
+"""Cosine of the angle below which directions are equivalent."""
 
-DIRECTIONS = ("tilt", "inclined", *AXES)
-"""Families of gravity's directions."""
+DIRECTION_KINDS = ("tilt", "inclined", *GRAVITY_DIRECTIONS)
+"""Families of readings with another direction of gravity."""
 
-TERMINAL = ("no gravity", "part of gravity", "by file")
-"""Families after which no second mistake is looked for."""
+TERMINAL_KINDS = ("no gravity", "part of gravity", "by file")
+"""Families of readings after which no second mistake is searched."""
 
 Outcome = Literal["as given", "explained", "not distinguished", "not explained"]
+"""Outcomes of a model comparison."""
 
 
 class Rejected(NamedTuple):
-    """Rejected reading, likelier than the log as given, with the reasons."""
+    """Rejected interpretation that is likelier than the log as given, with the reasons.
+
+    Attributes:
+        reading: Rejected interpretation.
+        reasons: Reasons for the rejection.
+    """
 
     reading: LogReading
     reasons: tuple[str, ...]
@@ -92,318 +100,401 @@ class Rejected(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TorqueVerdict:
-    """Result of model comparison for a log of torques.
+    """Result of the model comparison for a log of torques.
 
     Attributes:
-        outcome: Whether it is right as given, explained by readings, or neither.
-        case: The log as it was judged last.
-        readings: Those that explain it, applied one after another.
-        equals: Readings that explain it as well, the likeliest first.
-        attempts: The likeliest readings that are not said.
-        ranked: All readings, the likeliest first.
-        nats: By how much the reading that is said is likelier than the log as given.
+        outcome: "as given" for a correct log, "explained" by interpretations, "not distinguished"
+            between interpretations, or "not explained".
+        case: Torques as last evaluated.
+        readings: Accepted interpretations, applied one after another.
+        equivalent_readings: Interpretations with equal evidence, the likeliest first.
+        rejected_readings: Likeliest rejected interpretations.
+        ranked_readings: All interpretations, the likeliest first.
+        log_evidence_ratio: Log evidence of the accepted interpretations relative to the log as
+            given [nats].
     """
 
     outcome: Outcome
     case: TorqueCase
     readings: tuple[LogReading, ...] = ()
-    equals: tuple[LogReading, ...] = ()
-    attempts: tuple[Rejected, ...] = ()
-    ranked: tuple[LogReading, ...] = ()
-    nats: float = 0.0
+    equivalent_readings: tuple[LogReading, ...] = ()
+    rejected_readings: tuple[Rejected, ...] = ()
+    ranked_readings: tuple[LogReading, ...] = ()
+    log_evidence_ratio: float = 0.0
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses of all accepted readings."""
+        """Hypotheses of all accepted interpretations."""
         return tuple(h for each in self.readings for h in each.hypotheses)
 
 
-def explain(case: TorqueCase, steps: int = STEPS) -> TorqueVerdict:
-    """Compare readings of a log, correcting up to a few mistakes one by one.
+def compare_readings(case: TorqueCase, steps: int = MAX_MISTAKES) -> TorqueVerdict:
+    """Compare interpretations of a log, and correct a few mistakes one by one.
+
+    If all single interpretations are rejected, pairs are tried.
 
     Args:
-        case: The log.
-        steps: Most mistakes.
+        case: Joint torques of a log, with robot and prior.
+        steps: Largest number of mistakes.
     """
-    verdict = judge(case)
+    verdict = single_reading_verdict(case)
     if verdict.outcome == "as given" or steps == 1:
         return verdict
     if verdict.outcome == "explained":
-        return _continued(verdict, steps)
-    if verdict.outcome == "not distinguished" or not verdict.attempts:
+        return _joined_verdict(verdict, steps)
+    if verdict.outcome == "not distinguished" or not verdict.rejected_readings:
         return verdict
-    return _first_of_two(verdict)
+    return _pair_verdict(verdict)
 
 
-def _continued(verdict: TorqueVerdict, steps: int) -> TorqueVerdict:
-    """Verdict on the corrected log, joined with the first accepted reading."""
+def _joined_verdict(verdict: TorqueVerdict, steps: int) -> TorqueVerdict:
+    """Verdict on the log corrected by an accepted interpretation, joined with the latter."""
     (reading,) = verdict.readings
-    if reading.kind in TERMINAL:
+    if reading.kind in TERMINAL_KINDS:
         return verdict
-    rest = explain(without_mistake(verdict.case, reading), steps - 1)
-    again = reading.kind in [each.kind for each in rest.readings]
-    again = again and reading.kind not in (*DIRECTIONS, "spring")
-    if rest.outcome == "not explained" or again:
+    remaining = compare_readings(case_without_mistake(verdict.case, reading), steps - 1)
+    repeated = reading.kind in [each.kind for each in remaining.readings]
+    repeated = repeated and reading.kind not in (*DIRECTION_KINDS, "spring")
+    if remaining.outcome == "not explained" or repeated:
         return replace(verdict, outcome="not explained", readings=())
-    if rest.outcome != "explained":
-        return replace(verdict, ranked=rest.ranked)
+    if remaining.outcome != "explained":
+        return replace(verdict, ranked_readings=remaining.ranked_readings)
     return replace(
-        rest, readings=(reading, *rest.readings), nats=verdict.nats + rest.nats
+        remaining,
+        readings=(reading, *remaining.readings),
+        log_evidence_ratio=verdict.log_evidence_ratio + remaining.log_evidence_ratio,
     )
 
 
-def _first_of_two(verdict: TorqueVerdict) -> TorqueVerdict:
-    """Search for pairs of mistakes, beginning with the likeliest readings."""
+def _pair_verdict(verdict: TorqueVerdict) -> TorqueVerdict:
+    """Verdict from pairs of mistakes, beginning with the likeliest single interpretations.
+
+    The best pair must lead by 20 nats and leave a log that is right as given; otherwise the
+    original verdict is returned.
+    """
     case, candidates = verdict.case, list[LogReading]()
-    for each in verdict.ranked[:12]:
-        other = all(each.kind != known.kind for known in candidates)
-        if each.kind == "torque sizes" and not contradictory(each):
+    for each in verdict.ranked_readings[:12]:
+        is_new_kind = all(each.kind != known.kind for known in candidates)
+        if each.kind == "torque sizes" and not has_contradictory_scales(each):
             continue
-        if each.hypotheses and other and each.kind not in TERMINAL:
+        if each.hypotheses and is_new_kind and each.kind not in TERMINAL_KINDS:
             candidates.append(each)
     pairs = []
-    for each in candidates[:TRIED]:
-        then = judge(without_mistake(case, each))
-        if then.outcome == "explained":
-            pairs.append((then.readings[0].log + each.odds, each, then.readings[0]))
+    for each in candidates[:MAX_PAIR_STARTS]:
+        second_verdict = single_reading_verdict(case_without_mistake(case, each))
+        if second_verdict.outcome == "explained":
+            pairs.append(
+                (
+                    second_verdict.readings[0].log_posterior + each.log_odds,
+                    each,
+                    second_verdict.readings[0],
+                )
+            )
     pairs.sort(key=lambda pair: -pair[0])
     if not pairs:
         return verdict
     if len(pairs) > 1:
         kinds = [{first.kind, second.kind} for _, first, second in pairs[:2]]
-        if pairs[0][0] - pairs[1][0] < MARGIN and kinds[0] != kinds[1]:
+        if pairs[0][0] - pairs[1][0] < MIN_EVIDENCE_RATIO and kinds[0] != kinds[1]:
             return verdict
     _, first, second = pairs[0]
     if (
-        judge(without_mistake(without_mistake(case, first), second)).outcome
+        single_reading_verdict(
+            case_without_mistake(case_without_mistake(case, first), second)
+        ).outcome
         != "as given"
     ):
         return verdict
-    return replace(verdict, outcome="explained", readings=(first, second), attempts=())
+    return replace(
+        verdict, outcome="explained", readings=(first, second), rejected_readings=()
+    )
 
 
-def without_mistake(case: TorqueCase, reading: LogReading) -> TorqueCase:
-    """Case with signals, gravity and springs corrected by a reading.
+def case_without_mistake(case: TorqueCase, reading: LogReading) -> TorqueCase:
+    """Case with signals, gravity and springs corrected by an interpretation.
 
     Args:
-        case: The log.
-        reading: Of it.
+        case: Joint torques of a log, with robot and prior.
+        reading: Accepted interpretation.
     """
-    signals = case.signals.corrected(*reading.hypotheses)
+    signals = case.signals.with_corrections(*reading.hypotheses)
     springs = [each.joints for each in reading.hypotheses if each.kind == "spring"]
     return replace(
         case,
         signals=signals,
         gravity=reading.gravity,
         inflation=np.ones(case.tree.n),
-        sprung=(*case.sprung, *(joint for each in springs for joint in each)),
+        spring_joints=(
+            *case.spring_joints,
+            *(joint for each in springs for joint in each),
+        ),
     )
 
 
-def judge(case: TorqueCase) -> TorqueVerdict:
-    """Compare all single readings of a log, and accept at most one.
+def single_reading_verdict(case: TorqueCase) -> TorqueVerdict:
+    """Compare all single interpretations of a log, and accept at most one.
 
     Args:
-        case: The log.
+        case: Joint torques of a log, with robot and prior.
     """
-    joints = np.flatnonzero(case.live).tolist()
+    joints = np.flatnonzero(case.usable_channels).tolist()
     if not joints:
         return TorqueVerdict("as given", case)
-    readings = [case.as_given, *column_readings(case, joints)]
-    if not case.fixed:
+    readings = [case.as_given, *torque_order_and_sign_readings(case, joints)]
+    if not case.motion_known:
         readings += gravity_readings(case)
-        readings += without_file_gravity(case)
+        readings += compensated_gravity_readings(case)
         readings += position_readings(case, joints)
     readings += spring_readings(case, joints)
     readings += delay_readings(case)
-    case = case.with_inflation(max(readings, key=lambda each: each.log))
-    ranked = sorted(_refined(case, readings), key=lambda each: -each.log)
-    return _gate(case, ranked)
-
-
-def _refined(case: TorqueCase, readings: Sequence[LogReading]) -> list[LogReading]:
-    """Likeliest readings, re-evaluated with residual autocorrelation."""
-    directions = [*DIRECTIONS, "part of gravity"]
-    others = [each for each in readings[1:] if each.kind not in directions]
-    others.sort(key=lambda each: -each.log)
-    refined = [case.as_given]
-    for each in others[:KEPT]:
-        if any(h.kind == "torque_order" for h in each.hypotheses):
-            # with noise and friction of the columns as they then are
-            refined.append(case.corrected(each.hypotheses, each.odds, each.kind))
-        else:
-            refined.append(case.again(each))
-    if not case.fixed:
-        refined += gravity_readings(case)
-    return [*refined, size_reading(case)]
-
-
-def _gate(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
-    """Verdict by thresholds on fit, possible bodies and evidence margin."""
-    first = next(each for each in ranked if not each.hypotheses)
-    live = case.live
-    absurd = not possible(case, first)
-    fine = first.pooled(live) < LEFT_OF_ALL and not absurd
-    good, rejected = [], []
-    for each in ranked:
-        if not each.hypotheses or each.log < first.log:
-            continue
-        reasons = tuple(_reasons(case, first, each, absurd=absurd))
-        measured = None if reasons else _measured(case, each)
-        if measured is None:
-            rejected.append(Rejected(each, reasons or (DISAGREE,)))
-        else:
-            good.append(measured)
-    verdict = TorqueVerdict(
-        "not explained", case, attempts=tuple(rejected[:TRIED]), ranked=tuple(ranked)
+    case = case.with_inflation(max(readings, key=lambda each: each.log_posterior))
+    ranked = sorted(
+        _refined_readings(case, readings), key=lambda each: -each.log_posterior
     )
-    if not good:
-        odd = any(_unnamed(case, first, each) for each, _ in rejected)
-        return replace(verdict, outcome="as given") if fine and not odd else verdict
-    best = good[0]
+    return _threshold_verdict(case, ranked)
+
+
+def _refined_readings(
+    case: TorqueCase, readings: Sequence[LogReading]
+) -> list[LogReading]:
+    """Likeliest of the interpretations, evaluated again with autocorrelated residuals."""
+    directions = [*DIRECTION_KINDS, "part of gravity"]
+    others = [each for each in readings[1:] if each.kind not in directions]
+    others.sort(key=lambda each: -each.log_posterior)
+    refined = [case.as_given]
+    for each in others[:MAX_REFINED]:
+        if any(h.kind == "torque_order" for h in each.hypotheses):
+            # noise and friction of the columns in the new order
+            refined.append(
+                case.corrected_reading(each.hypotheses, each.log_odds, each.kind)
+            )
+        else:
+            refined.append(case.reevaluated_reading(each))
+    if not case.motion_known:
+        refined += gravity_readings(case)
+    return [*refined, scale_reading(case)]
+
+
+def _threshold_verdict(case: TorqueCase, ranked: list[LogReading]) -> TorqueVerdict:
+    """Verdict by thresholds on residuals, on plausible bodies and on the evidence margin.
+
+    Args:
+        case: Joint torques of a log, with robot and prior.
+        ranked: All interpretations, the likeliest first.
+    """
+    as_given = next(each for each in ranked if not each.hypotheses)
+    live = case.usable_channels
+    implausible = not is_possible(case, as_given)
+    acceptable = as_given.relative_rms(live) < MAX_TOTAL_RESIDUAL and not implausible
+    accepted, rejected = [], []
+    for each in ranked:
+        if not each.hypotheses or each.log_posterior < as_given.log_posterior:
+            continue
+        reasons = tuple(_reasons(case, as_given, each, implausible=implausible))
+        final = None if reasons else _final_reading(case, each)
+        if final is None:
+            rejected.append(Rejected(each, reasons or (DISAGREEMENT_REASON,)))
+        else:
+            accepted.append(final)
+    verdict = TorqueVerdict(
+        "not explained",
+        case,
+        rejected_readings=tuple(rejected[:MAX_PAIR_STARTS]),
+        ranked_readings=tuple(ranked),
+    )
+    if not accepted:
+        unmodelled = any(
+            _reveals_unmodelled_error(case, as_given, each) for each, _ in rejected
+        )
+        return (
+            replace(verdict, outcome="as given")
+            if acceptable and not unmodelled
+            else verdict
+        )
+    best = accepted[0]
     if any(
-        each.log > best.log + 2 * MARGIN and not possible(case, each)
+        each.log_posterior > best.log_posterior + 2 * MIN_EVIDENCE_RATIO
+        and not is_possible(case, each)
         for each, _ in rejected
     ):
         return verdict
-    if best.log - first.log < MARGIN and fine:
+    if best.log_posterior - as_given.log_posterior < MIN_EVIDENCE_RATIO and acceptable:
         return replace(verdict, outcome="as given")
-    faint = [each for each, reasons in rejected if reasons == (FAINT,)]
-    rivals = [each for each in (*good[1:], *faint) if not same(each, best)]
+    small_gain = [each for each, reasons in rejected if reasons == (SMALL_GAIN_REASON,)]
+    rivals = [
+        each for each in (*accepted[1:], *small_gain) if not are_equivalent(each, best)
+    ]
     if best.kind in ("delay", "lag"):
         rivals += [
             each
             for each in ranked
-            if each.kind in ("delay", "lag") and not same(each, best)
+            if each.kind in ("delay", "lag") and not are_equivalent(each, best)
         ]
-    equals = [each for each in rivals if best.log - each.log < MARGIN]
-    alike = [each for each in equals if _alike(best, each)]
-    if len(alike) < len(equals) or best.log - first.log < MARGIN:
-        said = (best, *equals)
-        return replace(verdict, outcome="not distinguished", equals=said)
+    equals = [
+        each
+        for each in rivals
+        if best.log_posterior - each.log_posterior < MIN_EVIDENCE_RATIO
+    ]
+    equal = [each for each in equals if _have_equal_evidence(best, each)]
+    if (
+        len(equal) < len(equals)
+        or best.log_posterior - as_given.log_posterior < MIN_EVIDENCE_RATIO
+    ):
+        undistinguished = (best, *equals)
+        return replace(
+            verdict, outcome="not distinguished", equivalent_readings=undistinguished
+        )
     return replace(
         verdict,
         outcome="explained",
         readings=(best,),
-        equals=(best, *alike),
-        nats=best.log - first.log,
+        equivalent_readings=(best, *equal),
+        log_evidence_ratio=best.log_posterior - as_given.log_posterior,
     )
 
 
-def _alike(one: LogReading, other: LogReading) -> bool:
-    """Whether two readings have the same evidence."""
-    return abs(one.evidence.log - other.evidence.log) < ALIKE
+def _have_equal_evidence(one: LogReading, other: LogReading) -> bool:
+    """Test whether two interpretations have equal log evidence within 0.5 nats."""
+    return abs(one.evidence.log_evidence - other.evidence.log_evidence) < EQUAL_EVIDENCE
 
 
-def _unnamed(case: TorqueCase, first: LogReading, reading: LogReading) -> bool:
-    """Whether a rejected reading reveals an unmodelled error."""
+def _reveals_unmodelled_error(
+    case: TorqueCase, first: LogReading, reading: LogReading
+) -> bool:
+    """Test whether a rejected interpretation reveals an unmodelled error.
+
+    It does if it is likelier by 40 nats and reduces the rms residual of a channel by a factor of
+    1.5.
+    """
     if reading.kind in ("delay", "lag"):
-        return False  # errors of models look late
-    gain = _left(case, first) / np.maximum(_left(case, reading), 1e-6)
-    return bool(reading.log > first.log + 2 * MARGIN and gain[case.live].max() > ODD)
+        return False  # model errors look like delays
+    gain = _relative_rms(case, first) / np.maximum(_relative_rms(case, reading), 1e-6)
+    return bool(
+        reading.log_posterior > first.log_posterior + 2 * MIN_EVIDENCE_RATIO
+        and gain[case.usable_channels].max() > UNMODELLED_IMPROVEMENT
+    )
 
 
-def _measured(case: TorqueCase, reading: LogReading) -> LogReading | None:
-    """A reading with its final values and sigmas; None for a delay that joints do not share."""
-    if reading.kind in DIRECTIONS and reading.sigma.size:
-        return on_axis(with_dispersion(case, reading))
+def _final_reading(case: TorqueCase, reading: LogReading) -> LogReading | None:
+    """Interpretation with final values and standard deviations; None for inconsistent delays."""
+    if reading.kind in DIRECTION_KINDS and reading.sigma.size:
+        return rounded_to_axis(with_dispersion(case, reading))
     if reading.kind in ("delay", "lag"):
         signals = case.signals
-        seconds = (signals.at[-1] - signals.at[0]) / signals.rate
-        if seconds <= 0.9 * SHORTEST:
-            return None  # errors of models look like delays
+        seconds = (
+            signals.sample_indices[-1] - signals.sample_indices[0]
+        ) / signals.rate
+        if seconds <= 0.9 * MIN_DELAY_DURATION:
+            return None  # model errors look like delays
         delay = common_delay(case, reading)
-        if not delay.agree:
+        if not delay.is_significant:
             return None
-        late = Hypothesis("delay", (), (round(delay.value, 5),))
-        return replace(reading, hypotheses=(late,), sigma=np.array([delay.sigma]))
+        hypothesis = Hypothesis("delay", (), (round(delay.value, 5),))
+        return replace(reading, hypotheses=(hypothesis,), sigma=np.array([delay.sigma]))
     return reading
 
 
 def _reasons(
-    case: TorqueCase, first: LogReading, reading: LogReading, *, absurd: bool
+    case: TorqueCase, first: LogReading, reading: LogReading, *, implausible: bool
 ) -> list[str]:
-    """Reasons to reject a reading; empty for an acceptable one."""
-    live, late = case.live, reading.kind in ("delay", "lag")
+    """Reasons to reject an interpretation; empty if it is acceptable.
+
+    Args:
+        case: Joint torques of a log, with robot and prior.
+        first: Interpretation of the log as given.
+        reading: Candidate interpretation.
+        implausible: True if the log as given implies impossible bodies or friction.
+    """
+    live, is_delay = case.usable_channels, reading.kind in ("delay", "lag")
     reasons = []
-    if not possible(case, reading):
+    if not is_possible(case, reading):
         reasons.append("it needs masses or friction that the robot cannot have")
     if reading.kind == "torque sizes":
         logs = np.log(reading.hypotheses[0].values)
-        if not contradictory(reading) or abs(logs[live].mean()) > np.log(LARGEST):
-            reasons.append("all torques would be of another size")
-    if reading.pooled(live) > LEFT_OF_ALL:
-        reasons.append(f"it leaves {reading.pooled(live):.0%} of the torques")
-    after = _left(case, reading)[live]
-    gain = _left(case, first)[live] / np.maximum(after, 1e-6)
-    counted = case.signals.counted.sum(axis=0)[live] / case.inflation[live]
+        if not has_contradictory_scales(reading) or abs(logs[live].mean()) > np.log(
+            MAX_TORQUE_SCALE
+        ):
+            reasons.append("all torques would be on another scale")
+    if reading.relative_rms(live) > MAX_TOTAL_RESIDUAL:
+        reasons.append(f"it leaves {reading.relative_rms(live):.0%} of the torques")
+    after = _relative_rms(case, reading)[live]
+    gain = _relative_rms(case, first)[live] / np.maximum(after, 1e-6)
+    counted = case.signals.valid.sum(axis=0)[live] / case.inflation[live]
     nats = counted * np.log(gain)
-    top = int(nats.argmax())
-    if not absurd and not late:
-        if gain[top] < BETTER:
-            reasons.append(FAINT)
-        elif after[top] > LEFT:
-            reasons.append(f"it leaves {after[top]:.0%} of the torque that gains most")
-    loses = -nats.min() > LOSS * nats[nats > 0].sum()
-    if loses and 1 / gain[nats.argmin()] > BETTER and not absurd:
+    most_improved = int(nats.argmax())
+    if not implausible and not is_delay:
+        if gain[most_improved] < MIN_IMPROVEMENT:
+            reasons.append(SMALL_GAIN_REASON)
+        elif after[most_improved] > MAX_CHANNEL_RESIDUAL:
+            reasons.append(
+                f"it leaves {after[most_improved]:.0%} of the torque that gains most"
+            )
+    has_loss = -nats.min() > MAX_LOSS_SHARE * nats[nats > 0].sum()
+    if has_loss and 1 / gain[nats.argmin()] > MIN_IMPROVEMENT and not implausible:
         reasons.append("another joint's torque is explained worse")
-    if reading.kind in ("tilt", "inclined") and not _turned(case, reading):
+    if reading.kind in ("tilt", "inclined") and not _direction_differs(case, reading):
         reasons.append("it is within three sigmas of what is given")
     return reasons
 
 
-def _turned(case: TorqueCase, reading: LogReading) -> bool:
-    """Whether gravity's direction differs significantly from the stated one."""
+def _direction_differs(case: TorqueCase, reading: LogReading) -> bool:
+    """Test whether gravity differs from its stated direction by more than 3 standard deviations."""
     if not case.gravity.any():
         return True
-    cosine = reading.gravity @ case.gravity / case.standard**2
+    cosine = reading.gravity @ case.gravity / case.gravity_magnitude**2
     angle = np.arccos(np.clip(cosine, -1, 1))
-    return bool(angle > BEYOND * reading.sigma.max(initial=0.0))
+    return bool(angle > DIRECTION_Z_THRESHOLD * reading.sigma.max(initial=0.0))
 
 
-def possible(case: TorqueCase, reading: LogReading) -> bool:
-    """Whether friction is dissipative and masses are near the model file's.
+def is_possible(case: TorqueCase, reading: LogReading) -> bool:
+    """Test whether friction is dissipative and masses are near the model file's masses.
+
+    Masses are near if they deviate by less than 5 prior standard deviations, and by an rms below 2.
 
     Args:
-        case: The log.
-        reading: Of it.
+        case: Joint torques of a log, with robot and prior.
+        reading: Interpretation of the log.
     """
-    values, sigma = friction(reading.evidence)
-    brakes = values.sum(axis=1) > -np.maximum(DRIVEN, SIGMAS * sigma.max(axis=1))
-    if not brakes[case.live].all():
+    values, sigma = friction_coefficients(reading.evidence)
+    is_dissipative = values.sum(axis=1) > -np.maximum(
+        MAX_DRIVING_FRICTION, FRICTION_Z_THRESHOLD * sigma.max(axis=1)
+    )
+    if not is_dissipative[case.usable_channels].all():
         return False
-    if case.fixed or not case.prior.mean.any():
+    if case.motion_known or not case.prior.mean.any():
         return True
-    z = reading.products.basis @ reading.evidence.shared
+    z = reading.products.basis @ reading.evidence.shared_mean
     deviations = case.prior.mass_deviations(z)
     rms = np.sqrt((deviations**2).mean())
-    return bool(np.abs(deviations).max() < HEAVIEST and rms < MASSES)
+    return bool(np.abs(deviations).max() < MAX_MASS_DEVIATION and rms < MAX_MASS_RMS)
 
 
-def _left(case: TorqueCase, reading: LogReading) -> Array:
-    """Relative rms residual of each recorded torque column, (C,)."""
-    left = reading.evidence.residual.copy()
+def _relative_rms(case: TorqueCase, reading: LogReading) -> Array:
+    """Relative rms residual of each of the C recorded torque columns, (C,)."""
+    squares = reading.evidence.residual_squares.copy()
     column = np.arange(case.tree.n)
     for each in reading.hypotheses:
         if each.kind == "torque_order":
             column = np.array(each.values)
-    by_column = np.empty_like(left)
-    by_column[column] = left
-    whole = (case.signals.counted * case.signals.torque**2).sum(axis=0)
-    return np.asarray(np.sqrt(np.maximum(by_column, 1e-12) / np.maximum(whole, 1e-12)))
+    by_column = np.empty_like(squares)
+    by_column[column] = squares
+    square_sums = (case.signals.valid * case.signals.torque**2).sum(axis=0)
+    return np.asarray(
+        np.sqrt(np.maximum(by_column, 1e-12) / np.maximum(square_sums, 1e-12))
+    )
 
 
-def same(one: LogReading, other: LogReading) -> bool:
-    """Whether two readings are equal, or one contains the other.
+def are_equivalent(one: LogReading, other: LogReading) -> bool:
+    """Test whether two interpretations agree (gravity within 5 deg) or one contains the other.
 
     Args:
-        one: A reading.
-        other: Another.
+        one: First interpretation.
+        other: Second interpretation.
     """
     kinds = {one.kind, other.kind}
     if kinds <= {"no gravity", "part of gravity"} or kinds <= {"delay", "lag"}:
         return True
-    if kinds <= {*DIRECTIONS}:
+    if kinds <= {*DIRECTION_KINDS}:
         sizes = np.linalg.norm(one.gravity) * np.linalg.norm(other.gravity)
-        return bool(one.gravity @ other.gravity > NEAR * sizes)
+        return bool(one.gravity @ other.gravity > EQUAL_DIRECTION_COSINE * sizes)
     return one.hypotheses == other.hypotheses

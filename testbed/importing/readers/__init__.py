@@ -1,126 +1,166 @@
-"""Readers of foreign formats: one module each, with `read_file` or, by topics, `tables`.
+"""Readers of foreign formats: one module each, with `read_file` or, for several topics, `tables`.
 
-In: a file.
-Out: named columns as they stand there.
+Input: a file.
+Output: columns by name, with the values as in the file.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from testbed.core.base.errors import WIDTH, RecordingError, UnknownName, few, no_file
-from testbed.importing.foreign_table import ForeignTable, Tables, check_count, readable
-from testbed.importing.readers.isolated import read_isolated, tables_of
+from testbed.core.base.errors import (
+    MAX_LIST_WIDTH,
+    RecordingError,
+    UnknownName,
+    missing_file_message,
+    shortened_list,
+)
+from testbed.importing.foreign_table import (
+    ForeignTable,
+    TablesByTopic,
+    check_count,
+    reading_errors_as_recording_errors,
+)
+from testbed.importing.readers.isolated import (
+    read_tables_directly,
+    read_tables_in_child,
+)
 from testbed.importing.vocabulary import read_table
 
 FORMATS = read_table("formats")
-"""By the module of this room that reads them."""
+"""Formats by the module of this package that reads them."""
 
-FOLDERS = {name: each["folder"] for name, each in FORMATS.items() if "folder" in each}
-"""Modules that read a folder, and the file in it by which it is known."""
+FOLDER_MARKS = {
+    name: each["folder"] for name, each in FORMATS.items() if "folder" in each
+}
+"""Modules that read a folder, and the file by which such a folder is recognised."""
 
-ENDINGS = {ending: name for name, each in FORMATS.items() for ending in each["endings"]}
+MODULE_OF_ENDING = {
+    ending: name for name, each in FORMATS.items() for ending in each["endings"]
+}
 
 
-def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
-    """What a file of another program holds.
+def open_foreign_table(path: Path, topic: str | None = None) -> ForeignTable:
+    """Open a table in a file of another program.
 
     Args:
-        path: The file, of one of `ENDINGS`, text also packed as .gz; or a folder that holds one of
-            `FOLDERS`.
-        topic: Which of a file's tables: a topic, an entity of Rerun; None if it is one.
+        path: File with an extension in `MODULE_OF_ENDING`, text also compressed as .gz; or a folder
+            with one of the files in `FOLDER_MARKS`.
+        topic: Topic of a bag or entity of a Rerun file, if the file holds several tables; otherwise
+            None.
 
     Raises:
-        RecordingError: The file is missing or damaged, or a library is not installed.
-        UnknownName: The ending is that of no known format.
+        RecordingError: The file is missing or damaged, a library is not installed, or the file
+            holds several tables and `topic` is None.
+        UnknownName: The extension is not known.
     """
-    module = _reader_of(path)
+    module = _reader_module(path)
     if topic is not None and not FORMATS[module].get("topics"):
         raise RecordingError(f"{path}: `topic` is for bags, MCAP and .rrd")
-    found = _tables(path, module, topic)
-    if len(found) > 1:
-        raise RecordingError(f"{path}: say `topic`: {few([*found], WIDTH)}")
-    (table,) = found.values()
+    contents = _tables_of_module(path, module, topic)
+    if len(contents) > 1:
+        raise RecordingError(
+            f"{path}: say `topic`: {shortened_list([*contents], MAX_LIST_WIDTH)}"
+        )
+    (table,) = contents.values()
     if isinstance(table, Exception):
         raise table
     return table
 
 
-def tables(path: Path) -> Tables:
-    """All tables of a file by what `open_foreign` takes as its topic; "" where it is one.
+def read_tables(path: Path) -> TablesByTopic:
+    """Tables of a file, keyed by topic; a single table has the topic "".
 
     Args:
-        path: The file or folder.
+        path: File or folder.
 
     Raises:
-        RecordingError: It is damaged, or a library is not installed.
-        UnknownName: The ending is that of no known format.
+        RecordingError: The file is damaged, or a library is not installed.
+        UnknownName: The extension is not known.
     """
-    return _tables(path, _reader_of(path), None)
+    return _tables_of_module(path, _reader_module(path), None)
 
 
-def _tables(path: Path, module: str, topic: str | None) -> Tables:
-    isolated = FORMATS[module].get("isolated")
-    found = (read_isolated if isolated else tables_of)(module, path, topic)
-    if not found:
-        raise RecordingError(f"{path}: there are no messages or numbers in it")
-    return found
+def _tables_of_module(path: Path, module: str, topic: str | None) -> TablesByTopic:
+    """Tables of a file, keyed by topic, read by a module of this package.
 
+    Modules whose libraries can crash run in a child process.
 
-MOST_FILES = 100_000
-"""Of a folder."""
-
-
-def _reader_of(path: Path) -> str:
-    """The module that reads a file.
+    Args:
+        path: File or folder.
+        module: Reader in this package.
+        topic: Topic of a single table; None for all tables.
 
     Raises:
-        RecordingError: It is no file.
-        UnknownName: Its ending is that of no known format.
+        RecordingError: The file contains no numbers.
+    """
+    isolated = FORMATS[module].get("isolated")
+    contents = (read_tables_in_child if isolated else read_tables_directly)(
+        module, path, topic
+    )
+    if not contents:
+        raise RecordingError(f"{path}: there are no messages or numbers in it")
+    return contents
+
+
+MAX_FILES = 100_000
+"""Largest number of files in a folder."""
+
+
+def _reader_module(path: Path) -> str:
+    """Name of the module that reads a file.
+
+    Raises:
+        RecordingError: The path is neither a file nor a folder of a known format.
+        UnknownName: The extension is not known.
     """
     if path.is_dir():
-        for module, mark in FOLDERS.items():
+        for module, mark in FOLDER_MARKS.items():
             if (path / mark).is_file():
                 _check_folder(path)
                 return module
-        marks = " or ".join(FOLDERS.values())
+        marks = " or ".join(FOLDER_MARKS.values())
         raise RecordingError(
             f"'{path}' is a folder without {marks}: no dataset and no ROS 2 bag"
         )
     if "\0" in str(path) or not path.is_file():
-        raise RecordingError(no_file(path, "file"))
-    above = path.absolute().parents
+        raise RecordingError(missing_file_message(path, "file"))
+    parents = path.absolute().parents
     if (
         path.suffix == ".parquet"
-        and len(above) > 2
-        and (above[2] / FOLDERS["lerobot"]).is_file()
+        and len(parents) > 2
+        and (parents[2] / FOLDER_MARKS["lerobot"]).is_file()
     ):
-        _check_folder(above[2])
-        return "lerobot"  # a file of a dataset
+        _check_folder(parents[2])
+        return "lerobot"  # file of a dataset
     name = path.name.lower().removesuffix(".gz")
     ending = Path(name).suffix
-    packed = path.name.lower().endswith(".gz")
-    if ending not in ENDINGS or (packed and ENDINGS[ending] != "delimited_text"):
-        raise UnknownName("format", "".join(path.suffixes[-2:]) or path.name, ENDINGS)
-    return ENDINGS[ending]
+    is_gzip = path.name.lower().endswith(".gz")
+    if ending not in MODULE_OF_ENDING or (
+        is_gzip and MODULE_OF_ENDING[ending] != "delimited_text"
+    ):
+        raise UnknownName(
+            "format", "".join(path.suffixes[-2:]) or path.name, MODULE_OF_ENDING
+        )
+    return MODULE_OF_ENDING[ending]
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse a folder in which a reader could wait, or leave the folder.
+    """Refuse a folder with pipes, devices, links out of the folder, or too many files.
 
     Raises:
-        RecordingError: A pipe, a device or a link to elsewhere is in it, or too many files are.
+        RecordingError: The folder contains such an entry.
     """
-    with readable(path):
+    with reading_errors_as_recording_errors(path):
         for count, each in enumerate(path.rglob("*"), start=1):
-            check_count(path, "files", count, MOST_FILES)
-            linked = each.is_symlink() and not each.resolve().is_relative_to(
+            check_count(path, "files", count, MAX_FILES)
+            leaves_folder = each.is_symlink() and not each.resolve().is_relative_to(
                 path.resolve()
             )
-            if linked or not (each.is_file() or each.is_dir()):
+            if leaves_folder or not (each.is_file() or each.is_dir()):
                 kind = (
                     "a link out of the folder"
-                    if linked
+                    if leaves_folder
                     else "a pipe, device or broken link"
                 )
                 raise RecordingError(

@@ -1,7 +1,7 @@
 """C3D files of motion laboratories: analog channels (force plates) and points.
 
-Columns are analog/LABEL and point/LABEL/x, y, z, with times analog/time and point/time [s]
-from the rates in the file. Points that were not seen are no numbers.
+Columns are analog/LABEL and point/LABEL/x, y, z, with times analog/time and point/time [s] computed
+from the rates in the file. Points that the cameras did not detect are nan.
 
 Source    The C3D File Format User Guide, Motion Lab Systems
 """
@@ -21,46 +21,52 @@ from scipy.spatial.transform import Rotation
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import (
-    LENGTHS,
+    LENGTH_UNITS,
+    DescribedPlate,
     ForeignTable,
-    StatedPlate,
-    each_once,
-    library,
-    plain,
-    readable,
+    canonical_unit,
+    optional_package,
+    reading_errors_as_recording_errors,
+    unique_column_names,
 )
 
-MOST_FRAMES = 65535
-"""That the header can state."""
+MAX_FRAMES = 65535
+"""Largest number of frames that the header can state."""
 
-FIRST_LAST = 6
-"""Place of the first and the last frame's number in the header."""
+FRAME_NUMBERS_OFFSET = 6
+"""Offset of the first and the last frame's number in the header [bytes]."""
 
 Parameters = dict[str, dict[str, Any]]
-"""Values by group and name: arrays of numbers, or lists of texts."""
+"""Parameters by group and name: arrays of numbers, or lists of texts."""
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Columns of a C3D file.
+    """Read the columns of a C3D file.
+
+    Columns are analog/LABEL and point/LABEL/x, y, z, with analog/time and point/time [s]. Force
+    plates that the parameters describe are in `plates`, which is empty if the parameters are
+    incomplete.
 
     Args:
-        path: The file.
+        path: Path of the file.
 
     Raises:
-        RecordingError: It is damaged, ends early, or ezc3d is not installed.
+        RecordingError: The file is damaged or incomplete, or ezc3d is not installed.
     """
-    with library("ezc3d"):
+    with optional_package("ezc3d"):
         import ezc3d
-    with readable(path):
+    with reading_errors_as_recording_errors(path):
         try:
             content = ezc3d.c3d(str(path))
         except (OSError, RuntimeError):
             raise RecordingError(f"{path}: no C3D file, or a damaged one") from None
         groups: Parameters = {
             group: {
-                name: each["value"] for name, each in own.items() if "value" in each
+                name: each["value"]
+                for name, each in parameters.items()
+                if "value" in each
             }
-            for group, own in content["parameters"].items()
+            for group, parameters in content["parameters"].items()
         }
         points, (analog,) = content["data"]["points"], content["data"]["analogs"]
         _check_complete(path, points.shape[2])
@@ -68,15 +74,15 @@ def read_file(path: Path) -> ForeignTable:
         for kind, count in (("analog", analog.shape[1]), ("point", points.shape[2])):
             if (rate := content["header"][f"{kind}s"]["frame_rate"]) > 0:
                 columns[f"{kind}/time"] = np.arange(count) / rate, "s"
-        channels = _labels("ANALOG", groups, len(analog))
+        channels = _units_by_label("ANALOG", groups, len(analog))
         for label, values in zip(channels, analog, strict=True):
             columns[f"analog/{label}"] = values, channels[label]
-        markers = _labels("POINT", groups, points.shape[1])
+        markers = _units_by_label("POINT", groups, points.shape[1])
         for label, place in zip(markers, points[:3].swapaxes(0, 1), strict=True):
             for axis, values in zip("xyz", place, strict=True):
                 columns[f"point/{label}/{axis}"] = values, markers[label]
-        plates: list[StatedPlate] = []
-        # parameters that are not all there
+        plates: list[DescribedPlate] = []
+        # incomplete parameters
         with suppress(KeyError, ValueError, IndexError):
             plates = [*_plates(groups, [f"analog/{label}" for label in channels])]
     shapes = {
@@ -89,73 +95,102 @@ def read_file(path: Path) -> ForeignTable:
 
 
 def _check_complete(path: Path, frames: int) -> None:
-    """Refuse a file that ends before its last frame, of which ezc3d does not complain.
+    """Refuse a file that ends before its last frame, which ezc3d does not detect.
 
     Raises:
-        ValueError: It does.
+        ValueError: Frames are missing.
     """
     with path.open("rb") as stream:
-        header = stream.read(FIRST_LAST + 4)
-    ends = (struct.unpack_from(f"{order}2H", header, FIRST_LAST) for order in "<>")
-    if frames < MOST_FRAMES and frames not in [
-        last - first + 1 for first, last in ends
+        header = stream.read(FRAME_NUMBERS_OFFSET + 4)
+    frame_numbers = (
+        struct.unpack_from(f"{order}2H", header, FRAME_NUMBERS_OFFSET) for order in "<>"
+    )
+    if frames < MAX_FRAMES and frames not in [
+        last - first + 1 for first, last in frame_numbers
     ]:
         raise ValueError(f"it ends early, after {frames} frames")
 
 
-def _labels(kind: str, groups: Parameters, count: int) -> dict[str, str]:
-    """Units of channels or points, by labels that stand once each; empty where none is stated."""
-    names = each_once(_texts(kind, "LABELS", groups), count)
+def _units_by_label(kind: str, groups: Parameters, count: int) -> dict[str, str]:
+    """Units of channels or points, keyed by unique label; empty where no unit is stated.
+
+    Args:
+        kind: Parameter group, ANALOG or POINT.
+        groups: Parameters of the file.
+        count: Number of channels or points.
+    """
+    names = unique_column_names(_texts(kind, "LABELS", groups), count)
     units = _texts(kind, "UNITS", groups)
     units = units[:1] * count if kind == "POINT" else units[:count]
     return dict(zip_longest(names, units, fillvalue=""))
 
 
 def _texts(group: str, name: str, groups: Parameters) -> list[str]:
-    """A list of texts, which goes on under LABELS2, LABELS3 where there are many."""
+    """Texts of a parameter, continued in the parameters with suffixes 2, 3 and 4."""
     parts = (
-        groups.get(group, {}).get(f"{name}{more}", ()) for more in ("", "2", "3", "4")
+        groups.get(group, {}).get(f"{name}{suffix}", ())
+        for suffix in ("", "2", "3", "4")
     )
     return [str(text).strip() for part in parts for text in part]
 
 
-def _plates(groups: Parameters, channels: Sequence[str]) -> Iterator[StatedPlate]:
-    """Force plates of six forces and moments (types 2 and 4) or of eight forces (type 3).
+def _eight_force_matrix(origin: Array) -> Array:
+    """Matrix from a type-3 plate's eight forces to the wrench at the plate's centre, (6, 8).
 
-    What they measure acts on the plate, along axes that are by its corners; z is downwards.
+    Forces are in the order x12, x34, y14, y23, z1, z2, z3, z4, where the digits number the corners.
 
     Args:
-        groups: What the file says of itself.
-        channels: Names of columns.
+        origin: Distances of the corner sensors from the centre along x and y, (3,) [m].
     """
-    unit = plain(next(iter(_texts("POINT", "UNITS", groups)), "mm"))
-    scale = LENGTHS.get(unit, LENGTHS["mm"])
-    said = groups["FORCE_PLATFORM"]
-    for k, kind in enumerate(said["TYPE"]):
+    a, b, _ = np.abs(origin)
+    moments = [
+        [0, 0, 0, 0, b, b, -b, -b],
+        [0, 0, 0, 0, -a, a, a, -a],
+        [-b, b, a, -a, 0, 0, 0, 0],
+    ]
+    return np.vstack([np.repeat(np.eye(3), [2, 2, 4], axis=1), moments])
+
+
+def _plates(groups: Parameters, channels: Sequence[str]) -> Iterator[DescribedPlate]:
+    """Yield force plates with six forces and moments (types 2 and 4) or eight forces (type 3).
+
+    Forces and moments act on the plate, along axes that the corners define; z points downwards.
+
+    Args:
+        groups: Parameters of the file.
+        channels: Column names of the channels.
+    """
+    unit = canonical_unit(next(iter(_texts("POINT", "UNITS", groups)), "mm"))
+    scale = LENGTH_UNITS.get(unit, LENGTH_UNITS["mm"])
+    platform = groups["FORCE_PLATFORM"]
+    for k, kind in enumerate(platform["TYPE"]):
         if kind not in (2, 3, 4):
             continue
-        corners = said["CORNERS"][:, :, k].T * scale
-        origin = said["ORIGIN"][:, k] * scale
-        origin = -origin if origin[2] > 0 else origin  # from the sensor up, against z
-        numbers, matrix = said["CHANNEL"][:6, k], None
+        corners = platform["CORNERS"][:, :, k].T * scale
+        origin = platform["ORIGIN"][:, k] * scale
+        origin = -origin if origin[2] > 0 else origin  # vector upwards, against z
+        numbers, matrix = platform["CHANNEL"][:6, k], None
         if kind == 4:
-            matrix = said["CAL_MATRIX"][:, :, k] * np.repeat([1, scale], 3)[:, None]
+            matrix = platform["CAL_MATRIX"][:, :, k] * np.repeat([1, scale], 3)[:, None]
         elif kind == 3:
-            a, b, _ = np.abs(origin)
-            numbers, origin = said["CHANNEL"][:8, k], origin * [0, 0, 1]
-            moments = [
-                [0, 0, 0, 0, b, b, -b, -b],
-                [0, 0, 0, 0, -a, a, a, -a],
-                [-b, b, a, -a, 0, 0, 0, 0],
-            ]
-            matrix = np.vstack([np.repeat(np.eye(3), [2, 2, 4], axis=1), moments])
+            matrix = _eight_force_matrix(origin)
+            numbers, origin = platform["CHANNEL"][:8, k], origin * [0, 0, 1]
         names = tuple(channels[int(number) - 1] for number in numbers)
         rows = None if matrix is None else matrix.tolist()
-        yield StatedPlate(f"plate_{k + 1}", names, _place(corners, origin), rows)
+        yield DescribedPlate(
+            f"plate_{k + 1}", names, _sensor_pose(corners, origin), rows
+        )
 
 
-def _place(corners: Array, origin: Array) -> dict[str, list[float]] | None:
-    """`xyz` and `rpy` of a sensor by its plate's corners (4, 3); None where they span no plane."""
+def _sensor_pose(corners: Array, origin: Array) -> dict[str, list[float]] | None:
+    """Pose `xyz` [m] and `rpy` [rad] of a plate's sensor; None for degenerate corners.
+
+    The pose is in the laboratory frame; roll, pitch and yaw are about fixed axes x, then y, then z.
+
+    Args:
+        corners: Corners of the plate in the laboratory frame, (4, 3) [m].
+        origin: Vector from the sensor to the plate's centre in the plate's axes, (3,) [m].
+    """
     x = corners[[0, 3]].sum(axis=0) - corners[[1, 2]].sum(axis=0)
     y = corners[[0, 1]].sum(axis=0) - corners[[2, 3]].sum(axis=0)
     if not np.cross(x, y).any():

@@ -1,10 +1,10 @@
-"""Numbers in lines of text: CSV and its relatives, plain or packed by gzip.
+"""Tables of numbers in text files: CSV and similar formats, plain or compressed by gzip.
 
-The separator and the decimal point are those by which most fields of the table are numbers.
-Lines before the first one of numbers are a preamble; the last of them that has as many fields
-names the columns, else they are called 0, 1, .... A line of units beside it is that of the
-columns' units. Columns of text are left out, instants are microseconds (`written_times`), empty
-fields are no numbers (nan). A last line that is incomplete is left out.
+Separator and decimal point are chosen so that most fields of the table are numbers. Lines before
+the first line of numbers are a preamble; the last preamble line with as many fields as the table
+contains the column names, which are 0, 1, ... otherwise. A line of units next to it states the
+columns' units. Columns of text are omitted, instants become microseconds (`written_times`), and
+empty fields become nan. An incomplete last line is omitted.
 """
 
 from __future__ import annotations
@@ -24,27 +24,31 @@ from numpy.typing import NDArray
 
 from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import (
-    KNOWN,
-    MOST_COLUMNS,
+    KNOWN_UNITS,
+    MAX_COLUMNS,
     ForeignTable,
+    canonical_unit,
     check_count,
-    each_once,
-    plain,
-    readable,
+    reading_errors_as_recording_errors,
+    unique_column_names,
 )
-from testbed.importing.written_times import DAY, INSTANT, microseconds
+from testbed.importing.written_times import (
+    DAY_MICROSECONDS,
+    INSTANT_PATTERN,
+    parse_instant,
+)
 
-MOST_TEXT, MOST_LINES, LONGEST_LINE = 500_000_000, 5_000_000, 1_000_000
-"""Characters of text, unpacked; its lines, and the characters of one."""
+MAX_CHARACTERS, MAX_LINES, MAX_LINE_LENGTH = 500_000_000, 5_000_000, 1_000_000
+"""Largest number of characters of uncompressed text, of lines, and of characters in a line."""
 
-MOST_FIELDS, LOOKED_AT = 200_000, 60
-"""Fields and lines by which a table's style is known."""
+MAX_PROBED_FIELDS, MAX_PROBED_LINES = 200_000, 60
+"""Largest number of fields and of lines by which separator and decimal point are chosen."""
 
-LONGEST_PREAMBLE = 1000
-"""Lines before the first one of numbers."""
+MAX_PREAMBLE_LINES = 1000
+"""Largest number of lines before the first line of numbers."""
 
-WHOLE = 2.0**53
-"""From here on floating-point numbers leave out whole ones."""
+MAX_EXACT_INTEGER = 2.0**53
+"""Integer up to which floating-point numbers represent all integers."""
 
 STYLES = (
     (";", "."),
@@ -55,79 +59,94 @@ STYLES = (
     (None, "."),
     (None, ","),
 )
-"""Separators and decimal points in the order of trying; no separator is blanks."""
+"""Separators and decimal points in the order of trying; None stands for blanks."""
 
 MISSING = {"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"}
-"""Fields without a number, in small letters."""
+"""Fields without a number, in lower case."""
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Columns of a text file.
+    """Read the columns of a text file with lines of numbers below a header.
+
+    Separator and decimal point are those with the largest share of numeric fields. Columns of text
+    and an incomplete last line are omitted; instants become microseconds.
 
     Args:
-        path: The file.
+        path: Path of the file.
 
     Raises:
-        RecordingError: It holds no table of numbers.
+        RecordingError: The file does not contain a table of numbers.
     """
-    with readable(path):
+    with reading_errors_as_recording_errors(path):
         lines, ended = _lines(path)
-        numbered = [k for k, line in enumerate(lines) if not _comment(line)]
+        numbered = [k for k, line in enumerate(lines) if not _is_comment(line)]
         probes = numbered[len(numbered) // 2 :]
-        probes = probes[:: len(probes) // LOOKED_AT + 1]
+        probes = probes[:: len(probes) // MAX_PROBED_LINES + 1]
         fields = 1 + max(
             (lines[k].count(mark) for k in probes for mark in ";\t,"), default=0
         )
-        # 1,5;2,5 has more commas
-        check_count(path, "fields in a line", fields, 2 * MOST_COLUMNS)
-        probes = probes[: max(1, MOST_FIELDS // fields)]
+        # decimal commas are counted too, as in 1,5;2,5
+        check_count(path, "fields in a line", fields, 2 * MAX_COLUMNS)
+        probes = probes[: max(1, MAX_PROBED_FIELDS // fields)]
         separator, decimal = max(
-            STYLES, key=lambda style: _numeric([lines[k] for k in probes], *style)
+            STYLES, key=lambda style: _numeric_share([lines[k] for k in probes], *style)
         )
-        given = lines
+        original_lines = lines
         if decimal == ",":
             lines = [line.replace(",", ".") for line in lines]
         rows = [_fields(lines[k], separator) for k in probes]
         width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-        held = [*zip(*(row for row in rows if len(row) == width), strict=True)]
-        wanted = [
-            k for k, (values, words) in enumerate(map(_held, held)) if values >= words
+        probed_columns = [
+            *zip(*(row for row in rows if len(row) == width), strict=True)
         ]
-        filled = [k for k in wanted if any(map(str.strip, held[k]))]
-        first, above = _first_numbers(path, lines, separator, filled, width)
-        names, units = _head(
-            [_fields(_bare(given[k]), separator) for k in above], width
+        numeric = [
+            k
+            for k, (values, words) in enumerate(
+                map(_number_and_word_counts, probed_columns)
+            )
+            if values >= words
+        ]
+        filled = [k for k in numeric if any(map(str.strip, probed_columns[k]))]
+        first, header_rows = _first_numeric_line(path, lines, separator, filled, width)
+        names, units = _names_and_units(
+            [
+                _fields(_without_comment_mark(original_lines[k]), separator)
+                for k in header_rows
+            ],
+            width,
         )
-        read = [k for k in wanted if names[k] != str(k) or k in filled]
+        used = [k for k in numeric if names[k] != str(k) or k in filled]
         instants = {
             names[k]: "us"
-            for k in read
-            if any(map(INSTANT.fullmatch, map(str.strip, held[k])))
+            for k in used
+            if any(map(INSTANT_PATTERN.fullmatch, map(str.strip, probed_columns[k])))
         }
-        tail = _fields(lines[numbered[-1]], separator)
-        cut = len(tail) < len(_fields(lines[first], separator))
-        # of numbers with so many digits each, zeros too, the last may lack some
+        last_fields = _fields(lines[numbered[-1]], separator)
+        cut = len(last_fields) < len(_fields(lines[first], separator))
+        # numbers with a fixed count of decimals: the last number may be truncated
         if not ended:
             others = [
                 row for k, row in zip(probes, rows, strict=True) if k != numbered[-1]
             ]
-            ends = ["".join(row[-1:]) for row in (*others, tail)]
+            ends = ["".join(row[-1:]) for row in (*others, last_fields)]
             *digits, last = [len(end.partition(".")[2]) for end in ends]
             padded = any(end.endswith("0") for end in ends[:-1])
             cut |= padded and len({*digits}) == 1 and last < digits[0]
         body = [k for k in numbered[: -1 if cut else None] if k >= first]
-        columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
+        columns = _columns(path, lines, body, separator, {k: names[k] for k in used})
 
     def load(name: str) -> NDArray[Any]:
-        found = columns[name]
-        if isinstance(found, RecordingError):
-            raise found
-        if name in instants:  # from midnight on they begin again
-            return found + DAY * np.append(0, np.cumsum(np.diff(found) < -DAY / 2))
-        return found
+        column = columns[name]
+        if isinstance(column, RecordingError):
+            raise column
+        if name in instants:  # times of day restart at midnight
+            return column + DAY_MICROSECONDS * np.append(
+                0, np.cumsum(np.diff(column) < -DAY_MICROSECONDS / 2)
+            )
+        return column
 
     shapes = dict.fromkeys(columns, (len(body),))
-    return ForeignTable(path, shapes, load, units | instants, cut=cut)
+    return ForeignTable(path, shapes, load, units | instants, is_incomplete=cut)
 
 
 def _columns(
@@ -137,19 +156,22 @@ def _columns(
     separator: str | None,
     names: dict[int, str],
 ) -> dict[str, NDArray[Any] | RecordingError]:
-    """Columns by name, or which line is no number in them.
+    """Values of columns keyed by name, or the error at a field without a number.
 
     Args:
-        path: The file.
-        lines: All of it.
-        body: Those of numbers.
-        separator: Between fields.
-        names: Of columns, by their places.
+        path: Path of the file.
+        lines: Lines of the file.
+        body: Indices of the lines of numbers.
+        separator: Separator of fields; None for blanks.
+        names: Column names, keyed by index of the field.
+
+    Raises:
+        RecordingError: A line ends before the last of these columns.
     """
-    odd: dict[str, RecordingError] = {}
+    errors: dict[str, RecordingError] = {}
 
     def reader(name: str) -> Callable[[str], float]:
-        """Numbers of a column's fields, of which it is asked once and in their order."""
+        """Converter for a column's fields, which is called in the order of the lines."""
         places = iter(body)
 
         def value(text: str) -> float:
@@ -157,8 +179,8 @@ def _columns(
             try:
                 return _value(text)
             except ValueError:
-                said = f"{path}: line {place + 1}: '{name}' is '{text.strip()}'"
-                odd.setdefault(name, RecordingError(said))
+                message = f"{path}: line {place + 1}: '{name}' is '{text.strip()}'"
+                errors.setdefault(name, RecordingError(message))
                 return math.nan
 
         return value
@@ -172,113 +194,160 @@ def _columns(
         encoding="utf-8",
     )
     try:
-        read = table(map(lines.__getitem__, body), usecols=[*names])
+        values = table(map(lines.__getitem__, body), usecols=[*names])
     except ValueError:
         last = max(names)
         for k in body:
             if (count := len(_fields(lines[k], separator))) <= last:
-                said = f"line {k + 1} ends after {count} of {last + 1} fields"
-                raise RecordingError(f"{path}: {said}") from None
+                message = f"line {k + 1} ends after {count} of {last + 1} fields"
+                raise RecordingError(f"{path}: {message}") from None
         readers = {k: reader(name) for k, name in names.items()}
-        read = table(map(lines.__getitem__, body), usecols=[*names], converters=readers)
-    found: dict[str, NDArray[Any] | RecordingError] = dict(
-        zip(names.values(), read.T, strict=True)
+        values = table(
+            map(lines.__getitem__, body), usecols=[*names], converters=readers
+        )
+    columns: dict[str, NDArray[Any] | RecordingError] = dict(
+        zip(names.values(), values.T, strict=True)
     )
-    large = np.nanmax(np.abs(read), axis=0, initial=0) >= WHOLE
+    large = np.nanmax(np.abs(values), axis=0, initial=0) >= MAX_EXACT_INTEGER
     for k in np.array([*names])[large].tolist():
-        # no whole numbers, or more than counters hold
+        # values are not integers, or exceed 64 bits
         with suppress(ValueError, OverflowError):
-            counted = table(
+            integers = table(
                 map(lines.__getitem__, body), usecols=k, converters=int, dtype=np.int64
             )
-            found[names[k]] = counted[:, 0]
-    return found | odd
+            columns[names[k]] = integers[:, 0]
+    return columns | errors
 
 
 def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
-    """Lines of a file, and whether the last one is ended.
+    """Lines of a text file, and True if the last line is complete.
 
-    They are read one by one: few packed bytes can be a line that fills the memory.
+    The length of each line is limited while reading, because a few compressed bytes can expand to a
+    line that fills the memory. Encodings are tried in order, starting with UTF-8.
+
+    Raises:
+        RecordingError: The file is too large.
+        ValueError: The file contains null characters.
     """
-    opened: Callable[..., TextIO] = gzip.open if path.suffix.lower() == ".gz" else open
+    open_text: Callable[..., TextIO] = (
+        gzip.open if path.suffix.lower() == ".gz" else open
+    )
     lines: list[str] = []
     total, ended = 0, True
     try:
-        with opened(path, "rt", encoding=encoding) as stream:
-            while line := stream.readline(LONGEST_LINE + 1):
+        with open_text(path, "rt", encoding=encoding) as stream:
+            while line := stream.readline(MAX_LINE_LENGTH + 1):
                 lines.append(line.rstrip("\n"))
                 total, ended = total + len(line), line.endswith("\n")
                 check_count(
-                    path, f"characters in line {len(lines)}", len(line), LONGEST_LINE
+                    path, f"characters in line {len(lines)}", len(line), MAX_LINE_LENGTH
                 )
                 if "\0" in line:
                     raise ValueError("it is no text")
-                check_count(path, "characters", total, MOST_TEXT)
-                check_count(path, "lines", len(lines), MOST_LINES)
-    except UnicodeDecodeError as error:  # byte 255 begins no text of UTF-8, but UTF-16
-        follows = {
+                check_count(path, "characters", total, MAX_CHARACTERS)
+                check_count(path, "lines", len(lines), MAX_LINES)
+    except UnicodeDecodeError as error:  # UTF-16 begins with byte 255 or 254
+        next_encoding = {
             "utf-8-sig": "utf-16" if error.object[:1] in b"\xff\xfe" else "latin-1"
         }
-        return _lines(path, follows.get(encoding, "latin-1"))
+        return _lines(path, next_encoding.get(encoding, "latin-1"))
     return lines, ended
 
 
-def _numeric(lines: list[str], separator: str | None, decimal: str) -> float:
-    """Part of the fields that are numbers, if lines are written so."""
+def _numeric_share(lines: list[str], separator: str | None, decimal: str) -> float:
+    """Share of numeric fields for a given separator and decimal point.
+
+    The share is zero if lines have fewer than 1.5 fields on average, unless the separator is a
+    blank.
+
+    Args:
+        lines: Lines of the table.
+        separator: Separator of fields; None for blanks.
+        decimal: Decimal point.
+    """
     texts = [line.replace(",", ".") if decimal == "," else line for line in lines]
     fields = [field for line in texts for field in _fields(line, separator)]
     if separator is not None and 2 * len(fields) < 3 * len(lines):
         return 0.0
-    values, words = _held(fields)
+    values, words = _number_and_word_counts(fields)
     return values / max(1, values + words)
 
 
-def _first_numbers(
-    path: Path, lines: list[str], separator: str | None, wanted: list[int], width: int
+def _first_numeric_line(
+    path: Path, lines: list[str], separator: str | None, numeric: list[int], width: int
 ) -> tuple[int, list[int]]:
-    """Indices of the first line of numbers, and of those before it with as many fields.
+    """Indices of the first line of numbers, and of preceding lines with enough fields.
 
-    Above a line of numbers alone may be some with a word among them.
+    Lines with more numbers than words are lines of numbers too if they directly precede it.
+
+    Args:
+        path: Path of the file.
+        lines: Lines of the file.
+        separator: Separator of fields; None for blanks.
+        numeric: Indices of the fields that are numbers.
+        width: Number of fields in most lines.
 
     Raises:
-        RecordingError: There is none.
+        RecordingError: There is no line of numbers.
     """
-    above: list[int] = []
-    mixed: list[int] = []
-    for k, line in enumerate(lines[:LONGEST_PREAMBLE]):
-        fields = _fields(_bare(line), separator)
-        if not wanted or not max(wanted) < len(fields) <= width + 1 or not any(fields):
+    header_rows: list[int] = []
+    mixed_rows: list[int] = []
+    for k, line in enumerate(lines[:MAX_PREAMBLE_LINES]):
+        fields = _fields(_without_comment_mark(line), separator)
+        if (
+            not numeric
+            or not max(numeric) < len(fields) <= width + 1
+            or not any(fields)
+        ):
             continue
-        values, words = (0, 1) if _comment(line) else _held([fields[j] for j in wanted])
+        values, words = (
+            (0, 1)
+            if _is_comment(line)
+            else _number_and_word_counts([fields[j] for j in numeric])
+        )
         if values and not words:
-            return (mixed or [k])[0], above[: len(above) - len(mixed)]
-        above.append(k)
-        mixed = [*mixed, k] * (values > words)
+            return (mixed_rows or [k])[0], header_rows[
+                : len(header_rows) - len(mixed_rows)
+            ]
+        header_rows.append(k)
+        mixed_rows = [*mixed_rows, k] * (values > words)
     raise RecordingError(f"{path}: there is no line of numbers in it")
 
 
-def _head(above: list[list[str]], width: int) -> tuple[list[str], dict[str, str]]:
-    """Names of all columns, each once, and their units, by the lines above the numbers."""
-    stated = [[field.strip(" \"'") for field in fields] for fields in above]
-    units = [fields for fields in stated if _are_units(fields)]
+def _names_and_units(
+    header: list[list[str]], width: int
+) -> tuple[list[str], dict[str, str]]:
+    """Unique column names, and units keyed by name, from the lines above the numbers.
+
+    The last line that is not a line of units contains the names; the last line of units contains
+    the units.
+
+    Args:
+        header: Fields of the lines above the numbers.
+        width: Number of columns.
+    """
+    stated = [[field.strip(" \"'") for field in fields] for fields in header]
+    units = [fields for fields in stated if _is_unit_row(fields)]
     others = [fields for fields in stated if fields not in units]
-    given = (others or units or [[]])[-1]
-    names = each_once(given, width)
-    said = zip(names, units[-1] if units and others else [], strict=False)
-    return names, {name: unit for name, text in said if (unit := _unit(text))}
+    name_fields = (others or units or [[]])[-1]
+    names = unique_column_names(name_fields, width)
+    unit_fields = zip(names, units[-1] if units and others else [], strict=False)
+    return names, {name: unit for name, text in unit_fields if (unit := _unit(text))}
 
 
 def _unit(field: str) -> str:
-    """A unit without brackets; empty if it is none."""
+    """Unit without brackets; empty if the unit is not known."""
     bare = field.strip(" ()[]{}<>")
-    return bare if plain(bare) in KNOWN else ""
+    return bare if canonical_unit(bare) in KNOWN_UNITS else ""
 
 
-def _are_units(fields: list[str]) -> bool:
+def _is_unit_row(fields: list[str]) -> bool:
+    """Test whether most of the non-empty fields are units."""
     return 2 * sum(map(bool, map(_unit, fields))) > sum(map(bool, fields))
 
 
 def _fields(line: str, separator: str | None) -> list[str]:
+    """Fields of a line, with quotation marks resolved."""
     if separator is None:
         return line.split()
     if '"' in line:
@@ -286,31 +355,35 @@ def _fields(line: str, separator: str | None) -> list[str]:
     return line.split(separator)
 
 
-def _bare(line: str) -> str:
-    """A line without the mark of a comment."""
+def _without_comment_mark(line: str) -> str:
+    """Line without the leading comment mark."""
     return line.lstrip("#% ")
 
 
-def _comment(line: str) -> bool:
+def _is_comment(line: str) -> bool:
+    """Test whether a line is empty or a comment."""
     return not line.strip() or line.lstrip()[0] in "#%"
 
 
 def _value(field: str) -> float:
-    """A number, an instant [us], or nan where nothing is.
+    """Number in a field, an instant [us], or nan for a missing number.
 
     Raises:
-        ValueError: It is a word, or a number as only Python writes them.
+        ValueError: The field is a word, or a number in a notation that only Python has.
     """
     if field.strip().lower() in MISSING:
         return math.nan
     try:
         return float(field.replace("_", "x"))
     except ValueError:
-        return microseconds(field)
+        return parse_instant(field)
 
 
-def _held(fields: Sequence[str]) -> tuple[int, int]:
-    """How many fields are numbers or instants, and how many are words."""
+def _number_and_word_counts(fields: Sequence[str]) -> tuple[int, int]:
+    """Number of fields that contain numbers or instants, and number of words.
+
+    Fields for missing numbers are ignored.
+    """
     values = words = 0
     for field in fields:
         try:

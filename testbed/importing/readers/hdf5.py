@@ -1,6 +1,7 @@
-"""HDF5 files, those of MATLAB 7.3 among them: a column is named by its path, as log/q[0].
+"""HDF5 files, including MATLAB 7.3.
 
-Only what lies in the file itself is read: no links to other files, no virtual datasets.
+A column is named by its path, for example log/q[0]. Only data in the file itself are read, no links
+to other files and no virtual datasets.
 """
 
 from __future__ import annotations
@@ -8,19 +9,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from testbed.importing.foreign_table import ForeignTable, is_column, library, readable
+from testbed.importing.foreign_table import (
+    ForeignTable,
+    is_column_array,
+    optional_package,
+    reading_errors_as_recording_errors,
+)
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Columns of an HDF5 file.
+    """Read the columns of an HDF5 file, named by the path of their dataset.
+
+    Units are taken from the attribute `unit` or `units`; external and virtual datasets are ignored.
 
     Args:
-        path: The file.
+        path: Path of the file.
 
     Raises:
-        RecordingError: It is damaged, or h5py is not installed.
+        RecordingError: The file is damaged, or h5py is not installed.
     """
-    with library("h5py"):
+    with optional_package("h5py"):
         import h5py
     shapes: dict[str, tuple[int, ...]] = {}
     units: dict[str, str] = {}
@@ -29,27 +37,30 @@ def read_file(path: Path) -> ForeignTable:
         inside = (
             isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual
         )
-        if inside and is_column(item.shape or (), item.dtype.kind):
+        if inside and is_column_array(item.shape or (), item.dtype.kind):
             shapes[name] = (
-                tuple(reversed(item.shape)) if _by_matlab(item) else item.shape
+                tuple(reversed(item.shape))
+                if _is_written_by_matlab(item)
+                else item.shape
             )
             unit = item.attrs.get("unit", item.attrs.get("units"))
             if isinstance(unit, str):
                 units[name] = unit
 
-    with readable(path), h5py.File(path, "r") as file:
+    with reading_errors_as_recording_errors(path), h5py.File(path, "r") as file:
         file.visititems(visit)
-    return ForeignTable(path, shapes, lambda name: _dataset(path, name), units)
+    return ForeignTable(path, shapes, lambda name: _dataset_values(path, name), units)
 
 
-def _dataset(path: Path, name: str) -> Any:
+def _dataset_values(path: Path, name: str) -> Any:
+    """Values of a dataset; the axes of a MATLAB file are reversed."""
     import h5py
 
     with h5py.File(path, "r") as file:
-        found = file[name]
-        return found[()].T if _by_matlab(found) else found[()]
+        dataset = file[name]
+        return dataset[()].T if _is_written_by_matlab(dataset) else dataset[()]
 
 
-def _by_matlab(dataset: Any) -> bool:
-    """Whether MATLAB wrote it, which counts axes from the other end."""
+def _is_written_by_matlab(dataset: Any) -> bool:
+    """Test whether MATLAB wrote a dataset, with the axes in reverse order."""
     return "MATLAB_class" in dataset.attrs

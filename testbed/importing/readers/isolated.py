@@ -1,4 +1,4 @@
-"""Files read in a child process, because a damaged one can crash or flood the library."""
+"""Reading of files in a child process, because damaged files can crash a library."""
 
 from __future__ import annotations
 
@@ -11,54 +11,62 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from testbed.core.base.child_process import Returned, call_in_child
+from testbed.core.base.child_process import ChildResult, call_in_child
 from testbed.core.base.errors import RecordingError
-from testbed.importing.foreign_table import ForeignTable, StatedPlate, Tables, readable
+from testbed.importing.foreign_table import (
+    DescribedPlate,
+    ForeignTable,
+    TablesByTopic,
+    reading_errors_as_recording_errors,
+)
 
-SENT = 20_000_000
-"""Numbers that come with the names of a file's columns; arrays beyond are read when asked for."""
+MAX_SENT_NUMBERS = 20_000_000
+"""Largest number of values sent with the column names; further arrays are read on demand."""
 
-FIRST_SECONDS, BYTES_A_SECOND = 15.0, 500_000
-"""Time that a small file takes at most [s], and bytes of a larger one for each further second."""
+BASE_SECONDS, BYTES_PER_SECOND = 15.0, 500_000
+"""Time limit for a small file [s], and bytes of a larger file for each further second."""
 
-FIRST_MEMORY, UNPACKED = 1_500_000_000, 50
-"""Memory that a small file takes at most [bytes], and bytes for each byte of a larger one."""
+BASE_MEMORY, MEMORY_PER_BYTE = 1_500_000_000, 50
+"""Memory limit for a small file [bytes], and further memory for each byte of the file."""
 
 
-def tables_of(module: str, path: Path, topic: str | None) -> Tables:
-    """Read the tables of a file by topic; a file of one table has the topic "".
+def read_tables_directly(module: str, path: Path, topic: str | None) -> TablesByTopic:
+    """Read the tables of a file, keyed by topic; a single table has topic "".
 
     Args:
-        module: Of the reader, in this package.
-        path: The file or folder.
-        topic: Of the only table that is wanted; None for all.
+        module: Reader in this package.
+        path: File or folder.
+        topic: Topic of a single table; None for all tables.
 
     Raises:
-        RecordingError: It cannot be read.
+        RecordingError: The file cannot be read.
         UnknownName: There is no such topic.
     """
     reader = import_module(f"{__package__}.{module}")
     if hasattr(reader, "tables"):
-        found: Tables = reader.tables(path, topic)
-        return found
+        contents: TablesByTopic = reader.tables(path, topic)
+        return contents
     return {"": reader.read_file(path)}
 
 
-def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
-    """Read the tables of a file in a child process, as `tables_of`.
+def read_tables_in_child(module: str, path: Path, topic: str | None) -> TablesByTopic:
+    """Read the tables of a file, keyed by topic, in a child process.
+
+    The result is that of `read_tables_directly`. Arrays beyond a total of `MAX_SENT_NUMBERS` values
+    are read on demand, in further processes.
 
     Args:
-        module: Of the reader, in this package.
-        path: The file or folder.
-        topic: Of the only table that is wanted; None for all.
+        module: Reader in this package.
+        path: File or folder.
+        topic: Topic of a single table; None for all tables.
 
     Raises:
-        RecordingError: It cannot be read, or there is no such topic.
+        RecordingError: The file cannot be read, or there is no such topic.
     """
 
-    def called(topic: str | None, first: str | None) -> Returned:
-        parts = [each for each in (path, *path.rglob("*")) if each.is_file()]
-        size = sum(each.stat().st_size for each in parts)
+    def child_result(topic: str | None, first: str | None) -> ChildResult:
+        files = [each for each in (path, *path.rglob("*")) if each.is_file()]
+        size = sum(each.stat().st_size for each in files)
         return call_in_child(
             f"{__name__}:read",
             str(path),
@@ -67,64 +75,66 @@ def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
             first,
             file=path,
             error=RecordingError,
-            seconds=FIRST_SECONDS + size / BYTES_A_SECOND,
-            memory=FIRST_MEMORY + UNPACKED * size,
+            seconds=BASE_SECONDS + size / BYTES_PER_SECOND,
+            memory=BASE_MEMORY + MEMORY_PER_BYTE * size,
         )
 
-    def table(topic: str, said: Any) -> ForeignTable:
+    def table(topic: str, content: Any) -> ForeignTable:
         def load(name: str) -> NDArray[Any]:
             if (key := topic + name) not in arrays:
                 arrays.clear()
-                arrays.update(called(topic or None, name)[1])
+                arrays.update(child_result(topic or None, name)[1])
             return arrays[key]
 
-        shapes = {name: tuple(shape) for name, shape in said["shapes"].items()}
+        shapes = {name: tuple(shape) for name, shape in content["shapes"].items()}
         plates = [
-            StatedPlate(own, tuple(columns), *rest)
-            for own, columns, *rest in said["plates"]
+            DescribedPlate(plate, tuple(columns), *rest)
+            for plate, columns, *rest in content["plates"]
         ]
-        return ForeignTable(path, shapes, load, said["units"], plates=plates)
+        return ForeignTable(path, shapes, load, content["units"], plates=plates)
 
-    found, read = called(topic, None)
-    arrays = {**read}
+    contents, sent = child_result(topic, None)
+    arrays = {**sent}
     return {
-        name: RecordingError(said) if isinstance(said, str) else table(name, said)
-        for name, said in found
+        name: RecordingError(content)
+        if isinstance(content, str)
+        else table(name, content)
+        for name, content in contents
     }
 
 
-def read(file: str, module: str, topic: str | None, first: str | None) -> Returned:
-    """Read shapes, units and arrays of a file's tables, as the child process does.
+def read(file: str, module: str, topic: str | None, first: str | None) -> ChildResult:
+    """Read shapes, units and arrays of a file's tables in the child process.
 
     Args:
-        file: The file or folder.
-        module: Of the reader.
-        topic: Of the only table that is wanted; None for all.
-        first: The array from which on arrays are sent; None for all of them.
+        file: File or folder.
+        module: Reader in this package.
+        topic: Topic of a single table; None for all tables.
+        first: First array that is sent; None for all arrays.
 
     Returns:
-        Topics, each with a table's shapes and units or why it is refused; and arrays by topic and
-        name, as many as `SENT` allows.
+        Topics, each with shapes, units and plates of a table or with an error message; and arrays
+        keyed by topic and name, up to `MAX_SENT_NUMBERS` values.
     """
-    path, room = Path(file), SENT
-    said: list[tuple[str, Any]] = []
+    path, remaining = Path(file), MAX_SENT_NUMBERS
+    contents: list[tuple[str, Any]] = []
     arrays: dict[str, NDArray[Any]] = {}
-    for name, table in tables_of(module, path, topic).items():
+    for name, table in read_tables_directly(module, path, topic).items():
         if not isinstance(table, ForeignTable):
-            said.append((name, str(table)))
+            contents.append((name, str(table)))
             continue
         plates = [astuple(plate) for plate in table.plates]
-        said.append(
+        contents.append(
             (name, {"shapes": table.shapes, "units": table.units, "plates": plates})
         )
-        wanted = first is None
+        is_sent = first is None
         for each, shape in table.shapes.items():
             if each == first:
-                wanted = True
-                with readable(path):
-                    arrays[name + each] = table.load(each)
-            elif wanted and (room := room - math.prod(shape)) > 0:
-                # said when asked for
+                is_sent = True
+                with reading_errors_as_recording_errors(path):
+                    arrays[name + each] = table.load_array(each)
+            elif is_sent and (remaining := remaining - math.prod(shape)) > 0:
+                # raised again when the array is loaded
                 with suppress(ValueError, OSError, RuntimeError, KeyError):
-                    arrays[name + each] = table.load(each)
-    return said, arrays
+                    arrays[name + each] = table.load_array(each)
+    return contents, arrays

@@ -1,8 +1,9 @@
-"""LeRobot's datasets (v2.1, v3.0): a folder with `meta/info.json` and Parquet files of episodes.
+"""LeRobot datasets (v2.1, v3.0): a folder with `meta/info.json` and Parquet files of episodes.
 
-Elements of a feature are columns of their names, as observation.state/elbow.pos. Episodes come one
-after the other with a silence between them, at which an import is cut. Files are found in the
-folder `data`, never by what the dataset says of their paths.
+The elements of a feature are columns named after the elements, for example
+observation.state/elbow.pos. Pauses are inserted between successive episodes, and an import is
+divided there. Files are searched for in the folder `data`; paths in the dataset's description are
+ignored.
 
 Source    The dataset formats v2.1 and v3.0 of github.com/huggingface/lerobot
 """
@@ -23,62 +24,70 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import (
-    MOST_COLUMNS,
-    MOST_NUMBERS,
+    MAX_COLUMNS,
+    MAX_NUMBERS,
     ForeignTable,
     check_count,
-    readable,
+    reading_errors_as_recording_errors,
 )
 from testbed.importing.readers.parquet_columns import read_column
 
 VERSIONS = ("v2", "v3")
-"""Beginnings of the formats' versions that are known."""
+"""Beginnings of the known versions of the format."""
 
-LONGEST_INFO = 10_000_000
-"""Bytes of `meta/info.json`."""
+MAX_INFO_BYTES = 10_000_000
+"""Largest size of `meta/info.json` [bytes]."""
 
-SILENCE, SILENT_FRAMES = 1.0, 10.0
-"""Between episodes [s], or so many frames if that is more."""
+MIN_PAUSE, MIN_PAUSE_FRAMES = 1.0, 10.0
+"""Pause between episodes [s], and in frames if that is longer."""
 
-COUNTED = ("episode_index", "frame_index", "index", "task_index")
-"""Columns that number what is in a row."""
+INDEX_COLUMNS = ("episode_index", "frame_index", "index", "task_index")
+"""Columns of indices, which are no signals."""
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Columns of all episodes of a dataset.
+    """Read the columns of all episodes of a dataset, with pauses between the episodes.
+
+    The elements of a feature are columns, for example observation.state/elbow.pos or
+    observation.state[0].
 
     Args:
-        path: The folder, or one of its Parquet files.
+        path: Folder, or one of its Parquet files.
 
     Raises:
-        RecordingError: It is damaged, or of another version.
+        RecordingError: The dataset is damaged or has an unknown version.
     """
-    with readable(path):
-        features, fps = _info(path if path.is_dir() else path.absolute().parents[2])
-        found = (path / "data").rglob("*.parquet") if path.is_dir() else [path]
-        files = sorted(each for each in found if each.is_file())
+    with reading_errors_as_recording_errors(path):
+        features, fps = _features_and_rate(
+            path if path.is_dir() else path.absolute().parents[2]
+        )
+        candidates = (path / "data").rglob("*.parquet") if path.is_dir() else [path]
+        files = sorted(each for each in candidates if each.is_file())
         if not files:
             raise RecordingError(
                 f"{path}: there is no Parquet file in its folder 'data'"
             )
-        if sum(pq.read_metadata(file).num_rows for file in files) > MOST_NUMBERS:
+        if sum(pq.read_metadata(file).num_rows for file in files) > MAX_NUMBERS:
             raise RecordingError(
-                f"{path}: more than {MOST_NUMBERS:.0e} rows; name an episode's file"
+                f"{path}: more than {MAX_NUMBERS:.0e} rows; name an episode's file"
             )
-        time = _times(
-            path, _read(files, "episode_index"), _read(files, "timestamp"), fps
+        time = _row_times(
+            path,
+            _feature_values(files, "episode_index"),
+            _feature_values(files, "timestamp"),
+            fps,
         )
         columns: dict[str, tuple[str, int]] = {}
         for feature in pq.read_schema(files[0]).names:
-            if feature in features and feature not in (*COUNTED, "timestamp"):
-                own = _columns(feature, features[feature])
-                columns |= {column: (feature, k) for k, column in enumerate(own)}
-                check_count(path, "columns", len(columns), MOST_COLUMNS)
+            if feature in features and feature not in (*INDEX_COLUMNS, "timestamp"):
+                elements = _element_names(feature, features[feature])
+                columns |= {column: (feature, k) for k, column in enumerate(elements)}
+                check_count(path, "columns", len(columns), MAX_COLUMNS)
 
     @lru_cache(maxsize=2)
     def values(feature: str) -> Array:
-        """A feature, (M, k)."""
-        return _read(files, feature).reshape(len(time), -1).astype(np.float64)
+        """Values of a feature, (M, k)."""
+        return _feature_values(files, feature).reshape(len(time), -1).astype(np.float64)
 
     def load(name: str) -> Array:
         if name == "timestamp":
@@ -90,19 +99,26 @@ def read_file(path: Path) -> ForeignTable:
     return ForeignTable(path, shapes, load, {"timestamp": "s"})
 
 
-def _read(files: Sequence[Path], feature: str) -> NDArray[Any]:
-    """A feature of several files."""
-    opened = (pq.ParquetFile(file, pre_buffer=False) for file in files)
-    return np.concatenate([read_column(each, feature) for each in opened])
+def _feature_values(files: Sequence[Path], feature: str) -> NDArray[Any]:
+    """Values of a feature in several files, concatenated."""
+    opened_files = (pq.ParquetFile(file, pre_buffer=False) for file in files)
+    return np.concatenate([read_column(each, feature) for each in opened_files])
 
 
-def _info(path: Path) -> tuple[dict[str, Any], float]:
-    """Features of a dataset by their names, and its rate [Hz]."""
+def _features_and_rate(path: Path) -> tuple[dict[str, Any], float]:
+    """Descriptions of a dataset's features, keyed by name, and frame rate [Hz].
+
+    Args:
+        path: Folder of the dataset.
+
+    Raises:
+        RecordingError: `meta/info.json` is too large, is incomplete or has an unknown version.
+    """
     with (path / "meta" / "info.json").open("rb") as stream:
-        text = stream.read(LONGEST_INFO + 1)
-    if len(text) > LONGEST_INFO:
+        text = stream.read(MAX_INFO_BYTES + 1)
+    if len(text) > MAX_INFO_BYTES:
         raise RecordingError(
-            f"{path}: meta/info.json has more than {LONGEST_INFO} bytes"
+            f"{path}: meta/info.json has more than {MAX_INFO_BYTES} bytes"
         )
     info = json.loads(text)
     features, fps = (
@@ -113,7 +129,7 @@ def _info(path: Path) -> tuple[dict[str, Any], float]:
         or not isinstance(fps, int | float)
         or not 0 < fps < 1e6
     ):
-        raise RecordingError(f"{path}: meta/info.json says no `features` and `fps`")
+        raise RecordingError(f"{path}: meta/info.json has no `features` and `fps`")
     if not str(version := info.get("codebase_version")).startswith(VERSIONS):
         raise RecordingError(
             f"{path}: a LeRobot dataset of version {str(version)[:20]}; 2.1 and 3.0 are known, "
@@ -122,8 +138,22 @@ def _info(path: Path) -> tuple[dict[str, Any], float]:
     return features, float(fps)
 
 
-def _times(path: Path, episode: NDArray[Any], stamp: NDArray[Any], fps: float) -> Array:
-    """Times of rows, a silence between two episodes, (M,) [s]."""
+def _row_times(
+    path: Path, episode: NDArray[Any], stamp: NDArray[Any], fps: float
+) -> Array:
+    """Times of rows with a pause between successive episodes, (M,) [s].
+
+    The pause is 1 s, or ten frames if that is longer.
+
+    Args:
+        path: Folder or file, for error messages.
+        episode: Episode index of each row, (M,).
+        stamp: Time in the episode, (M,) [s].
+        fps: Frame rate [Hz].
+
+    Raises:
+        RecordingError: The rows of an episode are not contiguous.
+    """
     if episode.dtype.kind not in "iu":
         raise RecordingError(f"{path}: 'episode_index' is not whole numbers")
     time = stamp.astype(np.float64)
@@ -133,21 +163,29 @@ def _times(path: Path, episode: NDArray[Any], stamp: NDArray[Any], fps: float) -
         raise RecordingError(f"{path}: rows of an episode are not one after the other")
     if len(first) == 1:
         return time
-    pause = max(SILENCE, SILENT_FRAMES / fps)
+    pause = max(MIN_PAUSE, MIN_PAUSE_FRAMES / fps)
     starts = np.append(0.0, np.cumsum(time[last] - time[first] + pause)[:-1])
     return time + np.repeat(starts - time[first], last - first + 1)
 
 
-def _columns(feature: str, about: Any) -> list[str]:
-    """Names of a feature's elements; none if it is no row of numbers."""
-    about = about if isinstance(about, dict) else {}
-    kind, shape, names = (about.get(key) for key in ("dtype", "shape", "names"))
+def _element_names(feature: str, description: Any) -> list[str]:
+    """Column names of a feature's elements; empty if the feature is not a numeric vector.
+
+    The names are FEATURE/NAME if the description has a unique name for each element, and FEATURE[k]
+    otherwise.
+
+    Args:
+        feature: Name of the feature.
+        description: Entry of the feature in `meta/info.json`.
+    """
+    description = description if isinstance(description, dict) else {}
+    kind, shape, names = (description.get(key) for key in ("dtype", "shape", "names"))
     if not re.fullmatch(r"u?int\d+|float\d+|bool", str(kind)) or not isinstance(
         shape, list
     ):
         return []
     count = shape[0] if len(shape) == 1 and isinstance(shape[0], int) else 0
-    if not 1 <= count <= MOST_COLUMNS:
+    if not 1 <= count <= MAX_COLUMNS:
         return []
     if isinstance(names, dict) and len(names) == 1:  # as {"motors": [...]}
         (names,) = names.values()

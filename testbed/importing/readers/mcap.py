@@ -1,6 +1,7 @@
-"""MCAP files: messages in JSON, Protobuf and of ROS 1 and 2 are numbers by their paths.
+"""MCAP files: numbers in messages of JSON, Protobuf, ROS 1 and ROS 2.
 
-Messages are decoded by the schemas in the file.
+A column is named by the path of its number in the message. Messages are decoded according to the
+schemas in the file.
 
 Source    The MCAP format specification, mcap.dev/spec
 """
@@ -14,46 +15,57 @@ from typing import Any
 
 from testbed.core.base.errors import UnknownName
 from testbed.importing.foreign_table import (
-    MOST_NUMBERS,
-    Tables,
+    MAX_NUMBERS,
+    TablesByTopic,
     check_count,
-    library,
-    readable,
-    refusal,
+    optional_package,
+    reading_error,
+    reading_errors_as_recording_errors,
 )
-from testbed.importing.readers.message_rows import MessageRows, numbers_of
-from testbed.importing.readers.ros_bag import Decoder, decoder_of
+from testbed.importing.readers.message_rows import MessageTableBuilder, message_numbers
+from testbed.importing.readers.ros_bag import MessageDecoder, ros_message_decoder
 
-MOST_BYTES = 250_000_000
-"""Of a record."""
+MAX_RECORD_BYTES = 250_000_000
+"""Largest size of a record [bytes]."""
 
-TIMES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
+PROTOBUF_TIME_TYPES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
+"""Protobuf messages that are times."""
 
 
-def tables(path: Path, topic: str | None) -> Tables:
-    """Every topic, or one.
+def tables(path: Path, topic: str | None) -> TablesByTopic:
+    """Tables of a file's topics, with one row for each message.
 
     Args:
-        path: The file.
-        topic: The only one that is wanted; None for all.
+        path: Path of the file.
+        topic: Topic of a single table; None for all tables.
 
     Raises:
         RecordingError: The file is damaged, or mcap is not installed.
         UnknownName: There is no such topic.
     """
-    with library("mcap"):
+    with optional_package("mcap"):
         from mcap.stream_reader import StreamReader
-    with readable(path), path.open("rb") as stream:
-        reader = StreamReader(stream, validate_crcs=True, record_size_limit=MOST_BYTES)
-        return _tables(path, reader.records, topic)
+    with reading_errors_as_recording_errors(path), path.open("rb") as stream:
+        reader = StreamReader(
+            stream, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES
+        )
+        return _tables_by_topic(path, reader.records, topic)
 
 
-def _tables(path: Path, records: Iterable[Any], wanted: str | None) -> Tables:
-    """One topic or all of them, in one pass."""
+def _tables_by_topic(
+    path: Path, records: Iterable[Any], topic_name: str | None
+) -> TablesByTopic:
+    """Tables of a file's topics, from the records in one pass.
+
+    If a message of a topic cannot be decoded, the topic has an error in place of its table.
+
+    Raises:
+        UnknownName: There is no such topic.
+    """
     known: dict[str, dict[int, Any]] = {"Schema": {}, "Channel": {}}
-    decoders: dict[int, Decoder] = {}
-    rows: dict[str, MessageRows] = {}
-    failed: Tables = {}
+    decoders: dict[int, MessageDecoder] = {}
+    rows: dict[str, MessageTableBuilder] = {}
+    errors: TablesByTopic = {}
     count = 0
     for record in records:
         if (kind := type(record).__name__) in known:
@@ -61,7 +73,7 @@ def _tables(path: Path, records: Iterable[Any], wanted: str | None) -> Tables:
         if kind != "Message":
             continue
         channel = known["Channel"][record.channel_id]
-        if wanted not in (None, channel.topic) or channel.topic in failed:
+        if topic_name not in (None, channel.topic) or channel.topic in errors:
             continue
         try:
             if channel.id not in decoders:
@@ -69,37 +81,47 @@ def _tables(path: Path, records: Iterable[Any], wanted: str | None) -> Tables:
                     channel, known["Schema"].get(channel.schema_id)
                 )
             numbers = decoders[channel.id](record.data)
-            rows.setdefault(channel.topic, MessageRows(path)).add(
+            rows.setdefault(channel.topic, MessageTableBuilder(path)).add_message(
                 record.log_time, numbers
             )
-        except Exception as error:  # whatever a damaged message makes a library raise
-            failed[channel.topic] = refusal(path, error)
+        except Exception as error:  # damaged messages cause exceptions of any type
+            errors[channel.topic] = reading_error(path, error)
             rows.pop(channel.topic, None)
             continue
         count += len(numbers) + 1
-        check_count(path, "numbers", count, MOST_NUMBERS)
+        check_count(path, "numbers", count, MAX_NUMBERS)
     topics = dict.fromkeys(each.topic for each in known["Channel"].values())
-    if wanted is not None and wanted not in topics:
-        raise UnknownName("topic", wanted, sorted(topics))
-    empty = {topic: MessageRows(path) for topic in topics if wanted in (None, topic)}
-    return {topic: each.table() for topic, each in (empty | rows).items()} | failed
+    if topic_name is not None and topic_name not in topics:
+        raise UnknownName("topic", topic_name, sorted(topics))
+    empty = {
+        topic: MessageTableBuilder(path)
+        for topic in topics
+        if topic_name in (None, topic)
+    }
+    return {topic: each.table() for topic, each in (empty | rows).items()} | errors
 
 
-def _decoder(channel: Any, schema: Any) -> Decoder:
-    """What decodes a channel's messages."""
-    if channel.message_encoding not in DECODERS:
-        raise UnknownName("encoding of messages", channel.message_encoding, DECODERS)
-    return DECODERS[channel.message_encoding](schema)
+def _decoder(channel: Any, schema: Any) -> MessageDecoder:
+    """Decoder for the messages of a channel.
+
+    Raises:
+        UnknownName: The encoding of the messages is not known.
+    """
+    if channel.message_encoding not in DECODER_OF_ENCODING:
+        raise UnknownName(
+            "encoding of messages", channel.message_encoding, DECODER_OF_ENCODING
+        )
+    return DECODER_OF_ENCODING[channel.message_encoding](schema)
 
 
-def _json(_schema: Any) -> Decoder:
-    """Of JSON, which needs no schema."""
-    return lambda data: numbers_of(json.loads(data))
+def _json_decoder(_schema: Any) -> MessageDecoder:
+    """Decoder for messages in JSON, which needs no schema."""
+    return lambda data: message_numbers(json.loads(data))
 
 
-def _protobuf(schema: Any) -> Decoder:
-    """Of Protobuf, by the descriptors that are the schema."""
-    with library("protobuf"):
+def _protobuf_decoder(schema: Any) -> MessageDecoder:
+    """Decoder for Protobuf messages, from the file descriptors in the schema."""
+    with optional_package("protobuf"):
         from google.protobuf.descriptor_pb2 import FileDescriptorSet
         from google.protobuf.descriptor_pool import DescriptorPool
         from google.protobuf.message_factory import GetMessageClass
@@ -108,49 +130,56 @@ def _protobuf(schema: Any) -> Decoder:
 
     def add(name: str) -> None:
         if (file := files.pop(name, None)) is not None:
-            for needed in file.dependency:
-                add(needed)
+            for dependency in file.dependency:
+                add(dependency)
             pool.Add(file)
 
     for name in [*files]:
         add(name)
-    made = GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    return lambda data: numbers_of(_content(made.FromString(data)))
+    message_class = GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return lambda data: message_numbers(_message_fields(message_class.FromString(data)))
 
 
-def _content(message: Any) -> dict[str, Any]:
-    """A Protobuf message as JSON has it; numbers that are not sent are zero, as they are there."""
-    if message.DESCRIPTOR.full_name in TIMES:
+def _message_fields(message: Any) -> dict[str, Any]:
+    """Fields of a Protobuf message, in the form of parsed JSON.
+
+    Omitted numbers are zero, the default of Protobuf.
+    """
+    if message.DESCRIPTOR.full_name in PROTOBUF_TIME_TYPES:
         return {"sec": message.seconds, "nsec": message.nanos}
-    sent = {field.name for field, _ in message.ListFields()}
-    found: dict[str, Any] = {}
+    set_fields = {field.name for field, _ in message.ListFields()}
+    fields: dict[str, Any] = {}
     for field in message.DESCRIPTOR.fields:
-        if field.name not in sent and (field.is_repeated or field.has_presence):
+        if field.name not in set_fields and (field.is_repeated or field.has_presence):
             continue
         value, inner = getattr(message, field.name), field.message_type
         if inner is None:
-            found[field.name] = [*value] if field.is_repeated else value
+            fields[field.name] = [*value] if field.is_repeated else value
         elif not field.is_repeated:
-            found[field.name] = _content(value)
+            fields[field.name] = _message_fields(value)
         elif not inner.GetOptions().map_entry:
-            found[field.name] = [_content(each) for each in value]
-    return found
+            fields[field.name] = [_message_fields(each) for each in value]
+    return fields
 
 
-def _ros(version: int) -> Callable[[Any], Decoder]:
-    """Of ROS 1 or 2."""
+def _ros_decoder(version: int) -> Callable[[Any], MessageDecoder]:
+    """Function that creates decoders for messages of ROS 1 or 2 from a schema.
 
-    def decoder(schema: Any) -> Decoder:
+    Args:
+        version: Version of ROS, 1 or 2.
+    """
+
+    def decoder(schema: Any) -> MessageDecoder:
         idl = schema.encoding.endswith("idl")
-        return decoder_of(schema.name, schema.data.decode(), version, idl=idl)
+        return ros_message_decoder(schema.name, schema.data.decode(), version, idl=idl)
 
     return decoder
 
 
-DECODERS: dict[str, Callable[[Any], Decoder]] = {
-    "json": _json,
-    "protobuf": _protobuf,
-    "cdr": _ros(2),
-    "ros1": _ros(1),
+DECODER_OF_ENCODING: dict[str, Callable[[Any], MessageDecoder]] = {
+    "json": _json_decoder,
+    "protobuf": _protobuf_decoder,
+    "cdr": _ros_decoder(2),
+    "ros1": _ros_decoder(1),
 }
-"""By a channel's encoding: of a schema, what decodes its messages."""
+"""Functions that make a decoder from a schema, by encoding of the channel."""

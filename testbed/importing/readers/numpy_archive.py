@@ -1,4 +1,4 @@
-"""NumPy's own files: one array (.npy), or several in an archive (.npz). Never pickles."""
+"""NumPy files: one array (.npy), or several arrays in an archive (.npz), without pickles."""
 
 from __future__ import annotations
 
@@ -9,36 +9,42 @@ from typing import IO, Any
 import numpy as np
 
 from testbed.core.base.errors import RecordingError
-from testbed.importing.foreign_table import ForeignTable, is_column, readable
+from testbed.importing.foreign_table import (
+    ForeignTable,
+    is_column_array,
+    reading_errors_as_recording_errors,
+)
 
-LONGEST_HEADER = 10_000
-"""Bytes of the words before an array's numbers."""
+MAX_HEADER_BYTES = 10_000
+"""Largest size of an array's header [bytes]."""
 
 
 def read_file(path: Path) -> ForeignTable:
-    """Columns of an archive's arrays; of a single array, those of `array`.
+    """Read the columns of a file's arrays; a single array is named `array`.
 
     Args:
-        path: The file.
+        path: Path of the file.
 
     Raises:
-        RecordingError: It is damaged.
+        RecordingError: The file is damaged.
     """
-    archive, found = None, {}
-    with readable(path):
+    archive, headers = None, {}
+    with reading_errors_as_recording_errors(path):
         if path.suffix.lower() == ".npy":
             with path.open("rb") as stream:
-                found["array"] = _header(stream, path.stat().st_size)
+                headers["array"] = _header(stream, path.stat().st_size)
         else:
-            # stays open: some have thousands of members
+            # the archive stays open: it may have thousands of members
             archive = zipfile.ZipFile(path)
             for member in archive.infolist():
                 if member.filename.endswith(".npy"):
                     with archive.open(member) as inside:
                         name = member.filename.removesuffix(".npy")
-                        found[name] = _header(inside, member.file_size)
+                        headers[name] = _header(inside, member.file_size)
     shapes = {
-        name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)
+        name: shape
+        for name, (shape, kind) in headers.items()
+        if is_column_array(shape, kind)
     }
 
     def load(name: str) -> Any:
@@ -53,10 +59,14 @@ def read_file(path: Path) -> ForeignTable:
 
 
 def _header(stream: IO[bytes], size: int) -> tuple[tuple[int, ...], str]:
-    """Shape and kind of an array, which must fit into what the file says it has.
+    """Shape and dtype kind of an array, from the header in the file.
+
+    Args:
+        stream: File at the beginning of the array.
+        size: Size of the array including the header [bytes].
 
     Raises:
-        RecordingError: It does not: reading it would make place for numbers that are not there.
+        RecordingError: The array would be larger than the file, or the format is not known.
     """
     readers = {
         1: np.lib.format.read_array_header_1_0,
@@ -65,7 +75,7 @@ def _header(stream: IO[bytes], size: int) -> tuple[tuple[int, ...], str]:
     major, _ = np.lib.format.read_magic(stream)
     if (read := readers.get(major)) is None:
         raise RecordingError(f"an array of NumPy's format {major} is not known")
-    shape, _, kind = read(stream, max_header_size=LONGEST_HEADER)
+    shape, _, kind = read(stream, max_header_size=MAX_HEADER_BYTES)
     if min(shape, default=0) < 0 or np.prod(shape, dtype=float) * kind.itemsize > size:
         raise RecordingError(f"an array of shape {shape} is larger than its file")
     return shape, kind.kind

@@ -1,7 +1,7 @@
-"""An experiment: a TOML file as a frozen value, every key checked.
+"""An experiment: a TOML file as a frozen value with checked keys.
 
-SI units, radians, joint side; tables keyed by joint name. A key that is not known is an
-error that lists the known ones.
+SI units, radians, joint side; tables keyed by joint name. An unknown key is an error that lists the
+known keys.
 """
 
 from __future__ import annotations
@@ -18,10 +18,19 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ExperimentError
 from testbed.core.base.summary_table import Summarized, SummaryTable
-from testbed.core.base.toml_text import Finite, checked, override, read_toml
+from testbed.core.base.toml_text import (
+    Finite,
+    apply_settings,
+    read_toml,
+    validate_tables,
+)
 from testbed.core.estimation.settings import Settings
-from testbed.core.robot.gravity import gravity_of
-from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.core.robot.gravity import parse_gravity
+from testbed.core.robot.model_file import (
+    ModelFile,
+    mimic_joints,
+    nearest_consistent_bodies,
+)
 from testbed.lab.experiment.experiment_tables import (
     ExcitationTable,
     Expectations,
@@ -36,26 +45,26 @@ from testbed.lab.instruments.chain import Instrument
 
 
 class Experiment(Summarized, RobotTables):
-    """Everything that determines a run, as an experiment file says it."""
+    """Settings of a simulated experiment: robot, motion, sensors, estimation and claims."""
 
     name: RunName
-    """Of the run folder: letters, digits, dot, dash, underscore."""
+    """Name of the run folder: letters, digits, dot, dash, underscore."""
     claim: str = ""
-    """What the experiment shows, in a sentence."""
+    """Claim of the experiment, in a sentence."""
     model: str
     """Model file, MJCF or URDF, relative to the experiment file."""
     seed: Annotated[int, Field(ge=0, lt=2**128)] = 0
-    """Of the motion and of all noise."""
+    """Seed of the motion and of all noise."""
     gravity: (
         Annotated[
             list[Finite],
             Field(min_length=3, max_length=3),
-            BeforeValidator(gravity_of),
+            BeforeValidator(parse_gravity),
         ]
         | None
     ) = None
-    """(gx, gy, gz) [m/s^2], bedplate frame, or how it is mounted: "level", "ceiling", "wall +x",
-    "wall -x", "wall +y", "wall -y", "none"; default the model file's."""
+    """Gravity (gx, gy, gz) [m/s^2], bedplate frame, or how the robot is mounted: "level",
+    "ceiling", "wall +x", "wall -x", "wall +y", "wall -y", "none"; default the model file's."""
     weld_root: bool = False
     """Weld a floating root to the bedplate."""
     motion: MotionTable = MotionTable()
@@ -64,16 +73,16 @@ class Experiment(Summarized, RobotTables):
     measurement: Instrument = Instrument()
     identification: Settings = Settings()
     consistent: ConsistencyOptions | None = None
-    """What is asked of physically consistent bodies; without the table none are made."""
+    """Options of physically consistent bodies; without the table none are estimated."""
     prior: PriorTable = PriorTable()
     expect: Expectations = Field(default_factory=dict)
-    """Bounds on metrics: the claim."""
+    """Bounds on metrics: the claim in numbers."""
 
     @property
     def summary(self) -> SummaryTable:
-        """Tables and keys that are not at their defaults."""
-        said = self.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-        rows = tuple((name, repr(value)) for name, value in said.items())
+        """Tables and keys that differ from their defaults."""
+        tables = self.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+        rows = tuple((name, repr(value)) for name, value in tables.items())
         return SummaryTable(f"experiment {self.name}", rows)
 
     @staticmethod
@@ -81,129 +90,156 @@ class Experiment(Summarized, RobotTables):
         """Read an experiment file.
 
         Args:
-            path: The TOML file; `model` is taken relative to it.
+            path: TOML file; `model` is taken relative to it.
             settings: Overrides "table.key=value", the value in TOML or a bare word.
 
         Raises:
-            ExperimentError: The file cannot be read, or says what is not understood.
+            ExperimentError: The file cannot be read, or a key or value is not valid.
         """
         path = Path(path)
         return Experiment.of_content(read_toml(path), path, settings)
 
     def with_(self, **changes: Any) -> Experiment:
-        """The same with some values changed.
+        """Copy of the experiment with some values changed.
 
         Args:
-            **changes: By table or key; of a table a dict of those of its keys that change.
+            **changes: New values by table or key; for a table, a dict of the changed keys.
 
         Raises:
-            ExperimentError: Something is said that is not understood.
+            ExperimentError: A key or value is not valid.
         """
-        said = self.model_dump(mode="json", exclude_none=True)
-        return checked(Experiment, _merged(said, changes), "with_")
+        tables = self.model_dump(mode="json", exclude_none=True)
+        return validate_tables(Experiment, _merged_table(tables, changes), "with_")
 
     @staticmethod
     def of_content(
         content: dict[str, Any], path: Path, settings: Iterable[str] = ()
     ) -> Experiment:
-        """From the tables of an experiment file that has been read.
+        """Build an experiment from the parsed tables of its TOML file.
 
         Args:
-            content: Its tables, unchecked; overrides are put in.
-            path: The file; `model` is taken relative to it.
+            content: Unchecked tables, into which the overrides are inserted.
+            path: The TOML file; `model` and `motion.file` are taken relative to it.
             settings: Overrides "table.key=value".
 
         Raises:
-            ExperimentError: Something is said that is not understood.
+            ExperimentError: A key or value is not valid.
         """
-        override(content, settings)
-        found = checked(Experiment, content, str(path))
-        if "\0" in found.model + found.motion.file:
+        apply_settings(content, settings)
+        experiment = validate_tables(Experiment, content, str(path))
+        if "\0" in experiment.model + experiment.motion.file:
             raise ExperimentError(f"{path}: model or motion.file is not a file name")
-        changed: dict[str, Any] = {"model": str((path.parent / found.model).resolve())}
-        if found.motion.file:
-            file = str((path.parent / found.motion.file).resolve())
-            changed["motion"] = found.motion.model_copy(update={"file": file})
-        return found.model_copy(update=changed)
+        changed: dict[str, Any] = {
+            "model": str((path.parent / experiment.model).resolve())
+        }
+        if experiment.motion.file:
+            file = str((path.parent / experiment.motion.file).resolve())
+            changed["motion"] = experiment.motion.model_copy(update={"file": file})
+        return experiment.model_copy(update=changed)
 
     @staticmethod
     def of_model(path: Path, settings: Iterable[str] = ()) -> Experiment:
-        """An experiment that says only which model, and the words of --set.
+        """Build an experiment without an experiment file, from a model file and overrides.
 
         Args:
-            path: The model file.
+            path: Model file.
             settings: Overrides "table.key=value".
 
         Raises:
-            ExperimentError: A word says what is not understood.
+            ExperimentError: A key or value is not valid.
         """
         content: dict[str, Any] = {"name": run_name(path), "model": str(path.resolve())}
-        override(content, settings)
-        return checked(Experiment, content, "--set")
+        apply_settings(content, settings)
+        return validate_tables(Experiment, content, "--set")
 
     def as_toml(self) -> str:
-        """The experiment with every default written out."""
+        """TOML text of the experiment, with every default written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
     @property
     def file(self) -> ModelFile:
-        """The model file, and how it is read."""
+        """Model file of the robot, with root welded, bodies replaced and joints locked.
+
+        The joints of `robot.lock` are locked, and with `robot.lock_mimic` the mimic joints too.
+        """
         mimic = mimic_joints(self.model) if self.robot.lock_mimic else ()
-        held = dict.fromkeys(mimic) | self.robot.lock
-        return ModelFile(Path(self.model), self.weld_root, self.robot.bodies, held)
+        lock = dict.fromkeys(mimic) | self.robot.lock
+        return ModelFile(
+            Path(self.model), self.weld_root, self.robot.replacement_inertias, lock
+        )
 
     def with_nearest_bodies(self) -> tuple[Experiment, tuple[Diagnostic, ...]]:
-        """The same with the nearest bodies in place of those that cannot be; what to say of it."""
+        """Copy of the experiment with inconsistent bodies repaired, and diagnostics of the repair.
+
+        Every body that is not physically consistent is replaced by the nearest consistent body;
+        entries of `robot.repair` take precedence.
+        """
         file = self.file
-        found = nearest_bodies(file.path, weld_root=file.weld_root, lock=file.lock)
-        tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
+        nearest = nearest_consistent_bodies(
+            file.path, weld_root=file.weld_root, lock=file.lock
+        )
+        tables = {
+            name: BodyTable.from_inertia(body) for name, body in nearest.bodies.items()
+        }
         repair = {"repair": tables | self.robot.repair}
         robot = self.robot.model_copy(update=repair)
-        return self.model_copy(update={"robot": robot}), found.diagnostics
+        return self.model_copy(update={"robot": robot}), nearest.diagnostics
 
     @property
     def mounted_sensors(self) -> list[ForcePlate]:
-        """The robot's force sensors, each with its errors."""
-        found = []
+        """Force sensors in the robot, with noise and errors from their tables in `sensors`.
+
+        A sensor that has no table is perfect.
+        """
+        sensors = []
         for name, mounting in self.force_sensors.items():
             table = self.sensors.get(name, SensorTable())
             noise = table.force_noise, table.moment_noise
-            found.append(
+            sensors.append(
                 ForcePlate(noise, table.fault, table.full_scale, table.plate, mounting)
             )
-        return found
+        return sensors
 
     @property
     def sensor_instruments(self) -> dict[str, Instrument]:
-        """Noise and range of the robot's force sensors by name."""
-        named = zip(self.force_sensors, self.mounted_sensors, strict=True)
-        return {name: Instrument(**plate.settings) for name, plate in named}
+        """Noise and range of the force sensors in the robot, by name."""
+        sensors = zip(self.force_sensors, self.mounted_sensors, strict=True)
+        return {name: Instrument(**plate.settings) for name, plate in sensors}
 
 
-def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with some keys changed, tables in it likewise."""
-    found = dict(table)
+def _merged_table(
+    table: Mapping[str, Any], changes: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Copy of a table with some keys changed, including keys of nested tables."""
+    merged = dict(table)
     for key, value in changes.items():
-        old = found.get(key)
-        both = isinstance(value, Mapping) and isinstance(old, Mapping)
-        found[key] = _merged(found[key], value) if both else value
-    return found
+        old_value = merged.get(key)
+        nested = isinstance(value, Mapping) and isinstance(old_value, Mapping)
+        merged[key] = _merged_table(merged[key], value) if nested else value
+    return merged
 
 
-GENERIC = ("robot", "model", "scene", "main", "mjcf", "urdf")
-"""Names of files that say nothing of the robot."""
-UNNAMED = ("", "robot", "MuJoCo Model")
-"""Names of models that have none."""
+GENERIC_FILE_NAMES = ("robot", "model", "scene", "main", "mjcf", "urdf")
+"""File names that do not name the robot."""
+DEFAULT_MODEL_NAMES = ("", "robot", "MuJoCo Model")
+"""Model names that stand for a model without name."""
 
 
-def run_name(path: Path, own: str = "") -> str:
-    """A run's name made of a model file's, or of the model's where the file's says nothing.
+def run_name(path: Path, model_name: str = "") -> str:
+    """Name of a run, derived from the model file's name or from the model.
+
+    If the file name is generic (`GENERIC_FILE_NAMES`), the model's name is used, or the folder's
+    name if the model has none. Characters other than letters, digits, "_", "." and "-" become "-".
 
     Args:
-        path: The file.
-        own: The model's own name.
+        path: Model file.
+        model_name: Name of the model in the file.
     """
-    said = path.stem
-    if said.lower() in GENERIC:
-        said = path.absolute().parent.name if own in UNNAMED else own
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", said)[:100].lstrip("_.-") or "robot"
+    name = path.stem
+    if name.lower() in GENERIC_FILE_NAMES:
+        name = (
+            path.absolute().parent.name
+            if model_name in DEFAULT_MODEL_NAMES
+            else model_name
+        )
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", name)[:100].lstrip("_.-") or "robot"

@@ -1,4 +1,4 @@
-"""An experiment file for any robot: welded, repaired, filled in from its model, commented."""
+"""Text of an experiment file for any robot model, with assumed values marked."""
 
 from __future__ import annotations
 
@@ -15,50 +15,54 @@ import numpy as np
 import tomli_w
 
 from testbed.core.base.diagnostics import sentences
-from testbed.core.base.errors import ModelError, plural, round_significant
-from testbed.core.base.stages import unreported
+from testbed.core.base.errors import ModelError, count_with_noun, round_significant
+from testbed.core.base.stages import ignore_progress
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.robot.friction import VISCOUS
-from testbed.core.robot.grippers import fingers
-from testbed.core.robot.locks import Lock, Travel
-from testbed.core.robot.model_file import ModelFile, expressible, nearest_bodies
-from testbed.core.robot.placeholders import placeholders
-from testbed.core.robot.repair import NAMED, Bodies, Repair
+from testbed.core.robot.grippers import finger_joints
+from testbed.core.robot.locks import JointLocks, JointTravel
+from testbed.core.robot.model_file import (
+    ModelFile,
+    nearest_consistent_bodies,
+    readable_model,
+)
+from testbed.core.robot.placeholders import find_placeholders
+from testbed.core.robot.repair import MAX_LISTED_FLAWS, InertiasByLink, Repair
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.assumptions import (
     PLATE_NOISE,
-    STEPS,
+    STEP_SIZES,
     TORQUE_NOISE,
     Assumptions,
-    Needs,
+    FeasibleSettings,
     assumptions,
-    calm_speeds,
-    size,
-    tried_text,
+    chain_length,
+    moderate_speeds,
+    tested_text,
 )
 from testbed.lab.experiment.experiment import run_name
-from testbed.lab.experiment.experiment_tables import MOST_HARMONICS
+from testbed.lab.experiment.experiment_tables import MAX_HARMONICS
 from testbed.lab.experiment.robot_tables import BodyTable
-from testbed.motion.limits import limits_of
+from testbed.motion.limits import joint_limits
 
-HOLDING = 1e3
-"""Times the robot's weight, at a usual speed, is more than viscous friction takes of a joint that
-moves."""
-SWING = 0.5
-"""Fastest that a usual motion is, of half a joint's range [1/s]."""
+MAX_FRICTION_RATIO = 1e3
+"""Ratio of viscous friction at a moderate speed to the robot's weight, above which a joint is
+locked."""
+MAX_SWING_RATE = 0.5
+"""Largest speed of a usual motion, relative to half the joint's range [1/s]."""
 
 
 @dataclass(frozen=True)
-class RobotFound:
-    """A robot, and how its model file had to be read.
+class ReadableRobot:
+    """Robot of a model file, and the settings used to read the file.
 
     Attributes:
         tree: The robot.
-        weld_root: Whether a floating root is welded.
-        lock_mimic: Whether joints that follow others are held.
-        lock: Other joints that are held, and where [rad or m].
-        repair: Of bodies that cannot be.
+        weld_root: True if a floating root is welded.
+        lock_mimic: True if joints that mimic others are locked.
+        lock: Positions of other locked joints [rad or m].
+        repair: Nearest consistent bodies for those that are not physically consistent.
     """
 
     tree: Tree
@@ -68,95 +72,131 @@ class RobotFound:
     repair: Repair
 
 
-def find_robot(
-    model: Path, repair: Bodies | None, lock: Lock | None = None
-) -> RobotFound:
-    """Read the file; weld its root and hold what no tree can move, if that is what it takes.
+def read_robot(
+    model: Path, repair: InertiasByLink | None, lock: JointLocks | None = None
+) -> ReadableRobot:
+    """Read a model file, with its root welded and joints locked where needed.
+
+    In addition to the joints in `lock`, the following are locked: joints that a kinematic tree
+    cannot represent, finger joints of grippers, joints whose range is too short, and joints that
+    viscous friction keeps from moving.
 
     Args:
-        model: MJCF or URDF.
-        repair: Bodies in place of the file's; None for the nearest that can be.
-        lock: Joints to be held, and where [rad or m]; None: where they rest.
+        model: MJCF or URDF file.
+        repair: Replacement bodies; None for the nearest consistent bodies.
+        lock: Positions of joints to lock [rad or m]; None for a joint's rest position.
 
     Raises:
-        ModelError: The file cannot be read, or nothing in it moves that has a mass.
-        UnknownName: A joint to be held is not there.
+        ModelError: The file cannot be read, or no moving link has a mass.
+        UnknownName: A joint to lock does not exist.
     """
-    asked = {name for name, place in (lock or {}).items() if place is None}
-    given = {name: place for name, place in (lock or {}).items() if place is not None}
-    file, tree, followed = expressible(ModelFile(model, repair=repair, lock=given))
-    further = _at_rest(tree, map(tree.index, asked))
-    further |= _grippers(tree, followed) | _stuck(tree) | _held_by_friction(tree)
-    if further:
-        file = replace(file, lock={**file.lock, **further})
+    resting_joints = {name for name, place in (lock or {}).items() if place is None}
+    positions = {
+        name: place for name, place in (lock or {}).items() if place is not None
+    }
+    file, tree, followed = readable_model(
+        ModelFile(model, repair=repair, lock=positions)
+    )
+    added_locks = _rest_positions(tree, map(tree.index, resting_joints))
+    added_locks |= (
+        _finger_joints(tree, followed) | _immobile_joints(tree) | _braked_joints(tree)
+    )
+    if added_locks:
+        file = replace(file, lock={**file.lock, **added_locks})
         tree = file.tree()
     if not any(inertia.mass for inertia in tree.inertias):
         raise ModelError(
             f"{model}: no moving link has a mass; `testbed minimal` lists the base parameters"
         )
-    nearest = nearest_bodies(model, weld_root=file.weld_root, lock=file.lock)
-    holding = {name: place for name, place in file.lock.items() if place is not None}
-    return RobotFound(tree, file.weld_root, bool(followed), holding, nearest)
+    nearest = nearest_consistent_bodies(model, weld_root=file.weld_root, lock=file.lock)
+    known_positions = {
+        name: place for name, place in file.lock.items() if place is not None
+    }
+    return ReadableRobot(tree, file.weld_root, bool(followed), known_positions, nearest)
 
 
-def _stuck(tree: Tree) -> dict[str, float]:
-    """Joints without room, and where they rest; none if no other moves.
+def _immobile_joints(tree: Tree) -> dict[str, float]:
+    """Rest positions of joints whose range is too short for identification.
 
-    Their range is one position, or so short that a motion is never faster than what counts as
-    rest: no torque of theirs would identify anything, and none of the robot's without them.
+    The speed of such a joint stays below the deadband of the identification, because of its range
+    at the usual rate of motion (`MAX_SWING_RATE`) or because of its velocity limit, so that its
+    torque identifies no parameter. The result is empty if this is true of all joints.
     """
-    narrow = [
+    narrow_joints = [
         j
         for j, joint in enumerate(tree.joints)
-        if min(np.ptp(joint.position_range) / 2 * SWING, joint.max_velocity)
+        if min(np.ptp(joint.position_range) / 2 * MAX_SWING_RATE, joint.max_velocity)
         < Settings().deadband
     ]
-    return _at_rest(tree, narrow) if len(narrow) < tree.n else {}
+    return _rest_positions(tree, narrow_joints) if len(narrow_joints) < tree.n else {}
 
 
-def _held_by_friction(tree: Tree) -> dict[str, float]:
-    """Joints that files hold by their damping, and where they rest; none if no other moves."""
-    weight = 9.81 * sum(body.mass for body in tree.inertias)
-    lever = np.where([joint.revolute for joint in tree.joints], size(tree), 1.0)
-    brakes = VISCOUS.coefficients(tree) * calm_speeds(tree) > HOLDING * weight * lever
-    return _at_rest(tree, np.flatnonzero(brakes).tolist()) if not brakes.all() else {}
+def _braked_joints(tree: Tree) -> dict[str, float]:
+    """Rest positions of joints with prohibitive viscous friction.
 
-
-def _grippers(tree: Tree, followed: Collection[str]) -> dict[str, float]:
-    """Rest positions of finger joints that other joints follow [rad or m].
-
-    The stroke of a gripper's fingers is too short for their masses to be identified.
+    At a moderate speed, the friction of such a joint exceeds `MAX_FRICTION_RATIO` times the robot's
+    weight, multiplied for a revolute joint by the length of the chain. The result is empty if this
+    is true of all joints.
     """
-    own = fingers(tree, followed)
-    # else the robot is a gripper
-    return _at_rest(tree, own) if len(own) < tree.n else {}
+    weight = 9.81 * sum(body.mass for body in tree.inertias)
+    lever = np.where([joint.revolute for joint in tree.joints], chain_length(tree), 1.0)
+    is_braked = (
+        VISCOUS.coefficients(tree) * moderate_speeds(tree)
+        > MAX_FRICTION_RATIO * weight * lever
+    )
+    return (
+        _rest_positions(tree, np.flatnonzero(is_braked).tolist())
+        if not is_braked.all()
+        else {}
+    )
 
 
-def _at_rest(tree: Tree, own: Iterable[int]) -> dict[str, float]:
-    """Rest positions of some joints, by name [rad or m]."""
-    joints = [tree.joints[j] for j in own]
+def _finger_joints(tree: Tree, followed: Collection[str]) -> dict[str, float]:
+    """Rest positions of the finger joints that other joints follow [rad or m].
+
+    Fingers move too little for their masses to be identified. The result is empty if the robot
+    consists of a gripper only.
+    """
+    joints = finger_joints(tree, followed)
+    # otherwise the robot is a gripper
+    return _rest_positions(tree, joints) if len(joints) < tree.n else {}
+
+
+def _rest_positions(tree: Tree, indices: Iterable[int]) -> dict[str, float]:
+    """Rest positions keyed by joint name [rad or m], rounded to six digits.
+
+    Args:
+        tree: The robot.
+        indices: Joint indices.
+    """
+    joints = [tree.joints[j] for j in indices]
     return {
-        joint.name: round_significant(Travel(*joint.position_range).rest, 6)
+        joint.name: round_significant(
+            JointTravel(*joint.position_range).rest_position, 6
+        )
         for joint in joints
     }
 
 
-COLUMN = 56
-"""Where comments begin."""
-COMMENT = "\t# "
-"""Mark in the template of a comment that begins in that column; values of TOML hold no tabs."""
-MANY = 12
-"""Joints above which runs are kept short."""
-FEWEST_HARMONICS = 5
-"""Of any motion."""
-UNKNOWNS_A_HARMONIC = 8
-"""Unknowns that a harmonic is there for: what the plate says of a periodic motion are its harmonics
-in six channels and no more, however long it goes on. Rows reach about twice as high as the motion,
-so that three values come on each unknown."""
-FASTEST = 1.5
-"""Most that a harmonic may have: rows of faster ones are beyond the filter's cutoff [Hz]."""
-PERIOD = 10.0
-"""A motion's period is this or a multiple [s]."""
+COMMENT_COLUMN = 56
+"""Column where comments begin."""
+COMMENT_MARK = "\t# "
+"""Mark of a comment in the template, moved to that column; values of TOML contain no tabs."""
+MAX_JOINTS_FULL_RUN = 12
+"""Largest number of joints of a robot for runs of full length."""
+MIN_HARMONICS = 5
+"""Smallest number of harmonics of a motion."""
+PARAMETERS_PER_HARMONIC = 8
+"""Number of parameters per harmonic of the motion.
+
+Along a periodic motion, the plate's six channels are determined by their harmonics, however long
+the recording. Regressor rows reach about twice the highest frequency of the motion, which gives
+three values per parameter.
+"""
+MAX_HARMONIC_FREQUENCY = 1.5
+"""Largest frequency of a harmonic [Hz]; rows of faster harmonics are beyond the filter's cutoff."""
+PERIOD_UNIT = 10.0
+"""Unit of the period of a motion, which is a multiple of it [s]."""
 
 
 def new_experiment(
@@ -164,72 +204,83 @@ def new_experiment(
     folder: Path,
     *,
     strict: bool = False,
-    tried: bool = True,
-    lock: Lock | None = None,
-    say: Callable[[str], None] = unreported,
+    run_trial: bool = True,
+    lock: JointLocks | None = None,
+    report_line: Callable[[str], None] = ignore_progress,
 ) -> str:
-    """The text of an experiment file that runs as it is.
+    """Text of an experiment file for a robot model, ready to run.
 
-    What the model file does not say is assumed, and marked so.
+    Values that the model file lacks are assumed, and marked as such.
 
     Args:
-        model: MJCF or URDF. A floating root is welded, joints that follow others are held, and
-            grippers with them.
-        folder: Where the file will be.
-        strict: Refuse bodies that cannot be instead of taking the nearest that can.
-        tried: Simulate a second of it, and assume more where it fails.
-        lock: Joints to be held, and where [rad or m]; None: where they rest.
-        say: Called with a line for what was repaired, or assumed after a trial.
+        model: MJCF or URDF file. A floating root is welded; joints that mimic others and grippers
+            are locked.
+        folder: Folder of the future file.
+        strict: Refuse bodies that are not physically consistent instead of repairing them.
+        run_trial: Simulate one second of the experiment; if it fails, change step, speed or
+            clearance until it runs (`tested_text`).
+        lock: Positions of joints to lock [rad or m]; None for a joint's rest position.
+        report_line: Called with a line for every repair, and every assumption after a failed trial.
 
     Raises:
         ModelError: The robot cannot be read.
+        ExperimentError: The trial simulation fails even with all changes.
     """
-    found = find_robot(model, {} if strict else None, lock)
-    doubts = (*found.tree.diagnostics, *placeholders(found.tree).diagnostics)
-    for line in (*sentences(doubts), *_flaws(found.repair)):
-        say(line)
-    assumed = assumptions(found.tree)
-    place = Path(os.path.relpath(model.resolve(), folder.resolve())).as_posix()
-    content = _content(found, assumed) | {
-        "model": place,
-        "name": run_name(model, found.tree.name),
+    robot = read_robot(model, {} if strict else None, lock)
+    diagnostics = (*robot.tree.diagnostics, *find_placeholders(robot.tree).diagnostics)
+    for line in (*sentences(diagnostics), *_flaw_lines(robot.repair)):
+        report_line(line)
+    assumed = assumptions(robot.tree)
+    relative_path = Path(os.path.relpath(model.resolve(), folder.resolve())).as_posix()
+    content = _template_values(robot, assumed) | {
+        "model": relative_path,
+        "name": run_name(model, robot.tree.name),
     }
-    template = _environment().get_template("new_experiment.toml.jinja")
+    template = _template_environment().get_template("new_experiment.toml.jinja")
 
-    def text(needs: Needs) -> str:
+    def text(needs: FeasibleSettings) -> str:
         slow = (
             "" if needs.pace == 1 else ": so slow, since the robot went astray faster"
         )
         lines = template.render(content, needs=needs, slow=slow).split("\n")
-        columns = (line.partition(COMMENT) for line in lines)
+        columns = (line.partition(COMMENT_MARK) for line in lines)
         return "\n".join(
-            f"{key.ljust(COLUMN)}  # {comment}" if mark else key
+            f"{key.ljust(COMMENT_COLUMN)}  # {comment}" if mark else key
             for key, mark, comment in columns
         )
 
-    first = Needs(step=assumed.step)
-    return tried_text(text, first, folder, say) if tried else text(first)
+    initial_needs = FeasibleSettings(step=assumed.step)
+    return (
+        tested_text(text, initial_needs, folder, report_line)
+        if run_trial
+        else text(initial_needs)
+    )
 
 
-def _content(found: RobotFound, assumed: Assumptions) -> dict[str, Any]:
-    """Values of the template that do not depend on trials."""
-    tree = found.tree
-    unknowns = minimal_set(tree, "reaction").count
+def _template_values(robot: ReadableRobot, assumed: Assumptions) -> dict[str, Any]:
+    """Template variables that do not depend on the trial simulations, by name.
+
+    The motion has one harmonic per `PARAMETERS_PER_HARMONIC` parameters, and a period at which the
+    frequency of the highest harmonic is at most `MAX_HARMONIC_FREQUENCY`.
+    """
+    tree = robot.tree
+    unknowns = minimal_set(tree, "wrench").count
     harmonics = max(
-        FEWEST_HARMONICS, min(MOST_HARMONICS, -(-unknowns // UNKNOWNS_A_HARMONIC))
+        MIN_HARMONICS, min(MAX_HARMONICS, -(-unknowns // PARAMETERS_PER_HARMONIC))
     )
     keys = {key for values in assumed.joints.values() for key in values}
     return {
-        "found": found,
+        "found": robot,
         "tree": tree,
         "assumed": assumed,
-        "limits": limits_of(tree),
-        "torques": minimal_set(tree, "dynamic").count,
+        "limits": joint_limits(tree),
+        "torques": minimal_set(tree, "torque").count,
         "unknowns": unknowns,
-        "many": tree.n > MANY,
+        "many": tree.n > MAX_JOINTS_FULL_RUN,
         "harmonics": harmonics,
-        "fewest_harmonics": FEWEST_HARMONICS,
-        "period": PERIOD * math.ceil(harmonics / (PERIOD * FASTEST)),
+        "fewest_harmonics": MIN_HARMONICS,
+        "period": PERIOD_UNIT
+        * math.ceil(harmonics / (PERIOD_UNIT * MAX_HARMONIC_FREQUENCY)),
         "reasons": [reason for key, reason in _REASONS.items() if key in keys],
         "units": {
             name: [
@@ -239,7 +290,7 @@ def _content(found: RobotFound, assumed: Assumptions) -> dict[str, Any]:
         },
         "plate_noise": f"{PLATE_NOISE:.1%}",
         "torque_noise": f"{TORQUE_NOISE:.1%}",
-        "largest_step": STEPS[0],
+        "largest_step": STEP_SIZES[0],
         "unlimited": math.inf,
     }
 
@@ -249,52 +300,62 @@ _REASONS = {
     "rotor_inertia": "rotors: these are too light without, in some posture or for their friction",
     "max_effort": "max_effort: the model file's holds the robot in no posture",
 }
+"""Comments on assumed joint settings, by key."""
 _UNITS = {
     "coulomb": ("N", "N m"),
     "viscous": ("N s/m", "N m s/rad"),
     "rotor_inertia": ("kg", "kg m^2"),
     "max_effort": ("N", "N m"),
 }
-"""Of sliding and of rotary joints."""
+"""Units of joint settings for sliding and for rotary joints, by key."""
 
 
-def _environment() -> jinja2.Environment:
-    """Templates beside this module, with filters that write TOML in one line."""
-    environment = jinja2.Environment(  # of TOML, no HTML
+def _template_environment() -> jinja2.Environment:
+    """Template environment of this package, with filters that format values as TOML."""
+    environment = jinja2.Environment(  # for TOML, without escaping of HTML
         loader=jinja2.PackageLoader("testbed.lab", "experiment"),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.globals["plural"] = plural
+    environment.globals["plural"] = count_with_noun
     environment.filters |= {
-        "toml": _toml,
-        "key": _key,
-        "table": _table,
-        "body_table": lambda body: _table(BodyTable.of(body).model_dump(mode="json")),
+        "toml": _toml_value,
+        "key": _toml_key,
+        "table": _inline_table,
+        "body_table": lambda body: _inline_table(
+            BodyTable.from_inertia(body).model_dump(mode="json")
+        ),
         "digits": round_significant,
     }
     return environment
 
 
-def _flaws(repair: Repair) -> Iterator[str]:
-    """What was wrong with bodies: the first few, and how many."""
-    yield from (f"  {flaw}" for flaw in repair.flaws[:NAMED])
-    if len(repair.flaws) > NAMED:
-        yield f"  and {len(repair.flaws) - NAMED} more"
+def _flaw_lines(repair: Repair) -> Iterator[str]:
+    """Yield a line for each of the first `MAX_LISTED_FLAWS` inconsistent bodies.
+
+    A last line has the number of further bodies.
+    """
+    yield from (f"  {flaw}" for flaw in repair.flaws[:MAX_LISTED_FLAWS])
+    if len(repair.flaws) > MAX_LISTED_FLAWS:
+        yield f"  and {len(repair.flaws) - MAX_LISTED_FLAWS} more"
 
 
-def _key(name: str) -> str:
-    """Write a name as a key of TOML."""
+def _toml_key(name: str) -> str:
+    """TOML key for a name, in quotes where needed."""
     return tomli_w.dumps({name: 0}).rstrip().removesuffix(" = 0")
 
 
-def _toml(value: Any) -> str:
-    """Write a string, a number or lists of them."""
+def _toml_value(value: Any) -> str:
+    """TOML value of a string, a number or nested lists of such values."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _table(values: Mapping[str, Any]) -> str:
-    """Write an inline table."""
-    return f"{{ {', '.join(f'{_key(key)} = {_toml(value)}' for key, value in values.items())} }}"
+def _inline_table(values: Mapping[str, Any]) -> str:
+    """Text of an inline TOML table."""
+    return (
+        "{ "
+        f"{', '.join(f'{_toml_key(key)} = {_toml_value(value)}' for key, value in values.items())}"
+        " }"
+    )

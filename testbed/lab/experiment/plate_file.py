@@ -1,4 +1,4 @@
-"""A plate's calibration as a TOML file, for `--plate`."""
+"""Read and write a force plate's calibration as a TOML file, for `--plate`."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pydantic import BaseModel
 from testbed.applications.calibration import Calibration
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError
-from testbed.core.base.installation import version
-from testbed.core.base.toml_text import KNOWN_KEYS, Finite, checked, read_toml
-from testbed.core.base.whole_files import write_whole
+from testbed.core.base.installation import installed_version
+from testbed.core.base.toml_text import STRICT_TABLE, Finite, read_toml, validate_tables
+from testbed.core.base.whole_files import write_atomically
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.robot_tables import StrictTable
 from testbed.sensors.catalogue import estimable_errors
 
-_HEAD = """\
+_HEADER = """\
 # A plate, calibrated by the motion of the robot on it (testbed {version}, calibrate).
 # It shows C w + bias of a wrench w, skew seconds late: gain/Fx is C's element of Fx by Fx,
 # crosstalk/Fx/Fz that of Fx by Fz. Numbers that are not here are as they should be.
@@ -27,51 +27,59 @@ _HEAD = """\
 """
 
 
-class _Number(StrictTable):
+class _CoefficientTable(StrictTable):
+    """Calibrated coefficient with standard deviation and unit."""
+
     value: Finite
     sigma: Finite = 0.0
     unit: str = ""
 
 
-class _Plate(BaseModel):
-    model_config = KNOWN_KEYS
+class _CalibrationTable(BaseModel):
+    """Content of a calibration file."""
+
+    model_config = STRICT_TABLE
     robot: str = ""
     known: dict[str, tuple[Finite, Finite]] = {}
-    numbers: dict[str, _Number]
+    numbers: dict[str, _CoefficientTable]
     correlation: list[list[Finite]] = []
 
 
-def write_plate(plate: Calibration, path: Path) -> None:
-    """Write a plate's numbers.
+def write_calibration(plate: Calibration, path: Path) -> None:
+    """Write the calibration of a force plate as TOML: coefficients, known values, correlations.
 
     Args:
-        plate: The calibration.
-        path: The file; what stands there is replaced.
+        plate: Calibration.
+        path: Output; an existing file is replaced.
     """
     numbers = {
-        n.name: _Number(value=n.value, sigma=n.sigma, unit=n.unit)
+        n.name: _CoefficientTable(value=n.value, sigma=n.sigma, unit=n.unit)
         for n in plate.numbers
     }
     rows = [] if plate.correlation is None else plate.correlation.tolist()
     known = dict(plate.known)
-    content = _Plate(robot=plate.robot, known=known, numbers=numbers, correlation=rows)
-    text = _HEAD.format(version=version()) + tomli_w.dumps(
+    content = _CalibrationTable(
+        robot=plate.robot, known=known, numbers=numbers, correlation=rows
+    )
+    text = _HEADER.format(version=installed_version()) + tomli_w.dumps(
         content.model_dump(mode="json")
     )
-    write_whole(path, text)
+    write_atomically(path, text)
 
 
-def read_plate(path: Path, tree: Tree) -> Calibration:
-    """A plate's numbers.
+def read_calibration(path: Path, tree: Tree) -> Calibration:
+    """Read the calibration of a force plate.
 
     Args:
-        path: A file that `write_plate` wrote, or one of the same form.
-        tree: The robot on it.
+        path: File written by `write_calibration`, or a file of the same form.
+        tree: Robot on the plate; it determines which coefficients exist.
 
     Raises:
-        ExperimentError: It is no such file.
+        ExperimentError: The file is not a valid calibration.
     """
-    found = checked(_Plate, read_toml(path, "plate's calibration"), str(path))
+    content = validate_tables(
+        _CalibrationTable, read_toml(path, "plate's calibration"), str(path)
+    )
     terms = {
         c.name: error.term
         for error in estimable_errors()
@@ -79,25 +87,27 @@ def read_plate(path: Path, tree: Tree) -> Calibration:
     }
     numbers = tuple(
         NuisanceEstimate(terms.get(name, name), name, each.unit, each.value, each.sigma)
-        for name, each in found.numbers.items()
+        for name, each in content.numbers.items()
     )
-    correlation = _correlation(found.correlation, len(numbers), path)
-    return Calibration(found.robot, found.known, numbers, correlation=correlation)
+    correlation = _correlation_matrix(content.correlation, len(numbers), path)
+    return Calibration(content.robot, content.known, numbers, correlation=correlation)
 
 
-def _correlation(rows: list[list[float]], count: int, path: Path) -> Array | None:
-    """Of the numbers, (k, k); None where the file has none.
+def _correlation_matrix(
+    rows: list[list[float]], count: int, path: Path
+) -> Array | None:
+    """Correlation matrix of the k coefficients, (k, k); None if the file has none.
 
     Raises:
-        ExperimentError: It is no correlation of these numbers.
+        ExperimentError: The matrix is not a correlation of k coefficients.
     """
     if not rows:
         return None
-    square = [len(row) for row in rows] == [count] * count
-    found = np.array(rows) if square else np.zeros((0, 0))
-    if not square or np.abs(found).max() > 1 or not np.allclose(found, found.T):
+    is_square = [len(row) for row in rows] == [count] * count
+    matrix = np.array(rows) if is_square else np.zeros((0, 0))
+    if not is_square or np.abs(matrix).max() > 1 or not np.allclose(matrix, matrix.T):
         raise ExperimentError(
             f"{path}: correlation is a symmetric matrix of {count} rows with nothing beyond one; "
             "leave it out for independent numbers"
         )
-    return found
+    return matrix

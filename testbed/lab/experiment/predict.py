@@ -1,4 +1,4 @@
-"""What a run's estimates predict of a recording, beside what was measured."""
+"""Predict a recording's signals by the estimates of a run, and compare with measurements."""
 
 from __future__ import annotations
 
@@ -9,41 +9,45 @@ from typing import Any, Literal
 
 import numpy as np
 
-from testbed.applications.validate import LEVEL, friction, predictions, variances
+from testbed.applications.prediction import (
+    predicted_signals,
+    prediction_variances,
+    steady_joint_torque,
+)
+from testbed.applications.validate import Z_95_PERCENT
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
-from testbed.core.base.frames import frame_of
+from testbed.core.base.frames import data_frame
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.estimate import (
-    SIGNAL_OF,
     Estimate,
-    Method,
     channel_units,
 )
 from testbed.core.estimation.information import Information
-from testbed.core.estimation.model_errors.model_errors import WithoutModelErrors
+from testbed.core.estimation.model_errors.model_errors import ModelErrorFreeSource
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import row_weights
-from testbed.core.recordings.columns import AXES, PLATE_UNITS
-from testbed.core.recordings.geometry import in_its_gravity
+from testbed.core.parameters.rules import Signal
+from testbed.core.recordings.columns import WRENCH_COMPONENTS, WRENCH_UNITS
+from testbed.core.recordings.geometry import with_recorded_gravity
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import longest_segment
-from testbed.lab.experiment.run import Run, shown_motion
+from testbed.lab.experiment.run import Run, recorded_motion
 from testbed.sensors.corrected import corrected
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One channel of a measurement and what the estimates say of it.
+    """Measured and predicted signal of one channel.
 
     Attributes:
         kind: "wrench" or "torque".
-        index: Place among the channels of its kind.
-        name: "Fx", or of the joint.
+        index: Index among the channels of its kind.
+        name: "Fx" ... "Mz", or the joint's name.
         unit: N or N m.
-        measured: (M,) [N, N m].
-        predicted: By method, (M,).
+        measured: Measured signal, (M,) [N, N m].
+        predicted: Signal predicted by each method's estimate, (M,).
     """
 
     kind: Literal["wrench", "torque"]
@@ -51,17 +55,17 @@ class Channel:
     name: str
     unit: str
     measured: Array
-    predicted: Mapping[Method, Array]
+    predicted: Mapping[Signal, Array]
 
     @property
     def curves(self) -> dict[Any, Array]:
-        """Measured and predicted values, (M,) each."""
+        """Measured and predicted signals, keyed by "measured" or method, (M,) each."""
         return {"measured": self.measured, **self.predicted}
 
     @property
-    def residuals(self) -> dict[Method, Array]:
-        """Measured less predicted, (M,), by method."""
-        return {by: self.measured - each for by, each in self.predicted.items()}
+    def residuals(self) -> dict[Signal, Array]:
+        """Residuals `measured - predicted`, keyed by method, (M,) each."""
+        return {method: self.measured - each for method, each in self.predicted.items()}
 
 
 def _channels(
@@ -69,27 +73,37 @@ def _channels(
     names: Sequence[str],
     units: Sequence[str],
     measured: Array,
-    predicted: Mapping[Method, Array],
+    predicted: Mapping[Signal, Array],
 ) -> Iterator[Channel]:
-    """Channels of one kind, measured and predicted, by method, in columns, (M, k)."""
+    """Yield the k channels of the wrench or of the joint torques.
+
+    Args:
+        kind: "wrench" or "torque".
+        names: Names of the channels, (k,).
+        units: Units of the channels, (k,).
+        measured: Measured signals, (M, k).
+        predicted: Predicted signals, keyed by method, (M, k) each.
+    """
     for c, (name, unit) in enumerate(zip(names, units, strict=True)):
-        found = {by: each[:, c] for by, each in predicted.items()}
-        yield Channel(kind, c, name, unit, measured[:, c], found)
+        column = {method: each[:, c] for method, each in predicted.items()}
+        yield Channel(kind, c, name, unit, measured[:, c], column)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictions(Summarized):
-    """A recording beside what a run's estimates say of it.
+    """Measured signals of a recording, and predictions from the estimates of a run.
 
     Attributes:
-        run: Whose estimates.
-        recording: Of the run, or another of the same robot; joints in the tree's order.
-        motion: What the recording shows, without the ends that filters take, M samples.
-        channels: What was measured: the wrench, the joint torques, or both. The wrench contains
-            the pedestal's; joint torques of the external estimate lack friction. Faults and model
-            errors that the estimates found are taken out.
-        unseen: Whether the recording is another one.
-        doubt: By method, mean squares of what model errors may be beside what was taken out, (C,).
+        run: Run with the estimates.
+        recording: Recording of the run, or another one of the same robot; joints in the tree's
+            order.
+        motion: Motion of the recording, M samples; the ends lost to filters are excluded.
+        channels: Channels of the wrench, of the joint torques, or of both. The wrench includes the
+            pedestal's share; joint torques predicted from the plate's estimate contain no friction.
+            Estimated sensor errors and model errors are removed from the measured signals.
+        unseen: True if the recording is not the run's own.
+        doubt: Mean square of the uncertainty of the removed model errors in each of the C channels,
+            (C,), keyed by method.
     """
 
     run: Run
@@ -97,173 +111,199 @@ class Predictions(Summarized):
     motion: Motion
     channels: tuple[Channel, ...]
     unseen: bool = False
-    doubt: Mapping[Method, Array] = field(default_factory=dict)
+    doubt: Mapping[Signal, Array] = field(default_factory=dict)
 
     @property
     def summary(self) -> SummaryTable:
-        """Rms of each channel and of what every estimate leaves of it."""
+        """Table with the rms of each channel, and of its residuals for every estimate."""
         rows = []
         for each in self.channels:
             values = each.measured, *each.residuals.values()
-            size, *left = (f"{np.sqrt(np.mean(x**2)):.3g}" for x in values)
-            rows.append((each.name, size, each.unit, f"left: {', '.join(left)}"))
+            size, *residuals = (f"{np.sqrt(np.mean(x**2)):.3g}" for x in values)
+            rows.append((each.name, size, each.unit, f"left: {', '.join(residuals)}"))
         return SummaryTable(f"{self.motion.samples} samples, rms", tuple(rows))
 
     @property
     def time(self) -> Array:
-        """Of the samples, (M,) [s]."""
+        """Times of the samples, (M,) [s]."""
         return self.motion.t
 
     def to_frame(self) -> Any:
-        """Measured and predicted signals over time, as a frame of pandas, polars or Arrow."""
+        """Measured and predicted signals over time, as a pandas, polars or Arrow data frame.
+
+        The columns are "time" [s] and "KIND/CHANNEL/CURVE", such as "wrench/Fx/measured".
+        """
         columns: dict[str, Array] = {"time": self.time}
         for each in self.channels:
             name = f"{each.kind}/{each.name}"
-            columns |= {f"{name}/{by}": values for by, values in each.curves.items()}
-        return frame_of(columns)
+            columns |= {
+                f"{name}/{curve}": values for curve, values in each.curves.items()
+            }
+        return data_frame(columns)
 
     @cached_property
-    def band(self) -> dict[Method, Array]:
-        """Half widths of 95 % about predictions of each method's own signal, (M, C) [N, N m].
+    def band(self) -> dict[Signal, Array]:
+        """Half widths of 95 % bands about the predictions, keyed by method, (M, C) [N, N m].
 
-        They count the covariance of the parameters, doubt about model errors, and noise below the
-        cutoff of the estimate's rows: `smoothed` signals should be within.
+        The band of a method applies to the C channels of its own signal. It accounts for the
+        covariance of the parameters, the variance of model errors, and the noise below the cutoff
+        of the estimate's rows, so that about 95 % of the `smoothed` measurements should lie within.
         """
-        found = {}
+        widths = {}
         for method, estimate in self.run.estimates.items():
-            variance = variances(self.run.tree, self.recording, self.motion, estimate)
+            variance = prediction_variances(
+                self.run.tree, self.recording, self.motion, estimate
+            )
             variance += estimate.residual**2
             variance += self.doubt.get(method, 0.0)
-            found[method] = LEVEL * np.sqrt(variance)
-        return found
+            widths[method] = Z_95_PERCENT * np.sqrt(variance)
+        return widths
 
     @cached_property
     def unexplained_torque(self) -> Array | None:
-        """Motor torque less what the robot needs by the plate's estimate, (M, n) [N m or N].
+        """Motor torque less the rigid-body torque predicted from the plate, (M, n) [N m or N].
 
-        Friction, and what the drives report wrongly. None without torques or that estimate.
+        The difference consists of friction and errors of the drives. The result is None if torques
+        were not recorded or the plate gave no estimate.
         """
-        left = [
-            each.residuals["external"]
+        residuals = [
+            each.residuals["wrench"]
             for each in self.channels
-            if each.kind == "torque" and "external" in each.predicted
+            if each.kind == "torque" and "wrench" in each.predicted
         ]
-        return np.column_stack(left) if left else None
+        return np.column_stack(residuals) if residuals else None
 
     def smoothed(self, cutoff: float) -> Predictions:
-        """Through one low-pass, without the ends it takes; as it is where it is too short for it.
+        """Copy with all signals low-pass filtered, without the ends lost to the filter.
+
+        The predictions are unchanged if the recording is too short for the filter.
 
         Args:
-            cutoff: Where the low-pass has a gain of one half [Hz].
+            cutoff: Frequency at which the gain is one half [Hz].
         """
         weights = row_weights(self.recording.rate, cutoff)
-        reach = len(weights) // 2
+        half_width = len(weights) // 2
         if self.motion.samples <= 2 * len(weights):
             return self
 
-        def passed(values: Array) -> Array:
+        def filtered(values: Array) -> Array:
             return np.convolve(values, weights, "valid")
 
         channels = [
             replace(
                 each,
-                measured=passed(each.measured),
-                predicted={by: passed(values) for by, values in each.predicted.items()},
+                measured=filtered(each.measured),
+                predicted={
+                    method: filtered(values)
+                    for method, values in each.predicted.items()
+                },
             )
             for each in self.channels
         ]
-        inner = slice(reach, self.motion.samples - reach)
-        return replace(self, motion=self.motion[inner], channels=tuple(channels))
+        samples = slice(half_width, self.motion.samples - half_width)
+        return replace(self, motion=self.motion[samples], channels=tuple(channels))
 
     def friction(self, speed: Array) -> Array | None:
-        """Joint friction at speeds, (k, n) [N m or N], by the torque estimate; None without one.
+        """Joint friction at given speeds from the torque estimate, (k, n) [N m or N].
+
+        The result is None if there is no torque estimate.
 
         Args:
             speed: Joint velocities, (k, n) [rad/s or m/s].
         """
-        internal = self.run.estimates.get("internal")
-        return None if internal is None else friction(speed, internal)
+        estimate = self.run.estimates.get("torque")
+        return None if estimate is None else steady_joint_torque(speed, estimate)
 
 
-def _without_faults(
+def _corrected_recording(
     run: Run, recording: Recording
-) -> tuple[Recording, dict[Method, Array]]:
-    """The longest segment without faults and model errors that estimates found, and their doubt.
+) -> tuple[Recording, dict[Signal, Array]]:
+    """Recording with the estimated sensor and model errors removed, and their uncertainty.
 
-    Where they found none, the recording. The doubt is one of each method, (C,).
+    If there are such errors, the result is the longest segment of the recording; otherwise it is
+    the whole recording. The uncertainty, keyed by method, is the mean square error of the removed
+    model errors in each of the C channels, (C,).
     """
-    doubt: dict[Method, Array] = {}
-    external = run.estimates.get("external")
-    if external is not None and external.nuisances:
+    variance: dict[Signal, Array] = {}
+    plate_estimate = run.estimates.get("wrench")
+    if plate_estimate is not None and plate_estimate.nuisances:
         part = recording.part(*longest_segment(recording))
-        source = corrected(part, run.tree, external.sensor_errors)
+        source = corrected(part, run.tree, plate_estimate.sensor_errors)
         recording = source.part(0, source.samples)
     for method, estimate in run.estimates.items():
-        if estimate.correction is None or SIGNAL_OF[method] not in recording.signals:
+        if estimate.correction is None or method not in recording.signals:
             continue
         part = recording.part(*longest_segment(recording))
-        tree = in_its_gravity(run.tree, part)
-        problem = Problem.of(tree, part, method, estimate.settings)
+        tree = with_recorded_gravity(run.tree, part)
+        problem = Problem.from_recording(tree, part, method, estimate.settings)
         source = problem.source
         values = estimate.values
-        found = WithoutModelErrors(problem, source, values, estimate.correction)
-        recording = found.part(0, found.samples)
-        doubt[method] = found.doubt
-    return recording, doubt
+        corrected_source = ModelErrorFreeSource(
+            problem, source, values, estimate.correction
+        )
+        recording = corrected_source.part(0, corrected_source.samples)
+        variance[method] = corrected_source.doubt
+    return recording, variance
 
 
-def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
-    """A recording and estimates of its robot as one value.
+def run_from_estimates(data: Recording, *estimates: Estimate | Information) -> Run:
+    """Build a run from a recording and estimates of its robot.
 
     Args:
-        data: The recording.
-        estimates: Of the robot, at least one; those of a sum count one by one.
+        data: Recording of the robot.
+        estimates: At least one estimate, or `Information` that yields one. Robot and settings are
+            taken from the first; if two estimates use the same method, the later is used.
 
     Raises:
-        SettingsError: There is none.
+        SettingsError: No estimate is given, or a value of another type.
     """
-    listed: list[object] = []
+    inputs: list[object] = []
     for each in estimates:
-        listed += each.estimates if isinstance(each, Information) else [each]
-    found = [each for each in listed if isinstance(each, Estimate)]
-    if not found or len(found) < len(listed):
+        inputs += each.estimates if isinstance(each, Information) else [each]
+    valid_estimates = [each for each in inputs if isinstance(each, Estimate)]
+    if not valid_estimates or len(valid_estimates) < len(inputs):
         raise SettingsError(
             "a recording is shown with estimates of its robot: give one or more"
         )
-    tree = found[0].minimal.robot
+    tree = valid_estimates[0].minimal.robot
     return Run(
         name=tree.name,
         tree=tree,
         recording=data.ordered(tree),
-        estimates={each.method: each for each in found},
-        settings=found[0].settings,
+        estimates={each.method: each for each in valid_estimates},
+        settings=valid_estimates[0].settings,
     )
 
 
 def predict(
-    data: Recording | Run, *more: Estimate | Information | Recording | None
+    data: Recording | Run, *inputs: Estimate | Information | Recording | None
 ) -> Predictions:
-    """What estimates predict of a recording, beside what was measured.
+    """Predict a recording's signals from estimates, for comparison with the measurements.
 
     Args:
-        data: A recording of the robot; or a run.
-        more: The estimates; of a run, another recording or nothing.
+        data: Recording of the robot, or a run with its own estimates.
+        inputs: For a recording, the estimates. For a run, another recording to predict; if omitted,
+            the run's own recording.
 
     Raises:
         RecordingError: The recording is of another robot.
     """
-    others = [each for each in more if isinstance(each, Recording)]
-    estimates = [each for each in more if isinstance(each, Estimate | Information)]
-    run = data if isinstance(data, Run) else run_of(data, *estimates)
-    recording = others[0].ordered(run.tree) if others else run.recording
-    recording, doubt = _without_faults(run, recording)
-    motion, inner = shown_motion(recording, run.settings)
-    wrench, torque = predictions(run.tree, recording, motion, run.estimates)
+    recordings = [each for each in inputs if isinstance(each, Recording)]
+    estimates = [each for each in inputs if isinstance(each, Estimate | Information)]
+    run = data if isinstance(data, Run) else run_from_estimates(data, *estimates)
+    recording = recordings[0].ordered(run.tree) if recordings else run.recording
+    recording, variance = _corrected_recording(run, recording)
+    motion, samples = recorded_motion(recording, run.settings)
+    wrench, torque = predicted_signals(run.tree, recording, motion, run.estimates)
     channels: list[Channel] = []
     if recording.wrench is not None:
-        measured = recording.wrench[inner]
-        channels += _channels("wrench", AXES, PLATE_UNITS, measured, wrench)
+        measured = recording.wrench[samples]
+        channels += _channels(
+            "wrench", WRENCH_COMPONENTS, WRENCH_UNITS, measured, wrench
+        )
     if recording.torque is not None:
-        units, measured = channel_units(run.tree, "internal"), recording.torque[inner]
+        units, measured = channel_units(run.tree, "torque"), recording.torque[samples]
         channels += _channels("torque", run.tree.names, units, measured, torque)
-    return Predictions(run, recording, motion, tuple(channels), bool(others), doubt)
+    return Predictions(
+        run, recording, motion, tuple(channels), bool(recordings), variance
+    )

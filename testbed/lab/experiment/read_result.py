@@ -1,4 +1,4 @@
-"""Estimates read from `identify --json` or a run folder: for validation, for a design."""
+"""Read estimates from the output of `identify --json` or a run folder."""
 
 from __future__ import annotations
 
@@ -14,49 +14,52 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.estimate_summary import estimate_of_summary
 from testbed.bodies.posterior import Posterior, ReportedEstimate, reported_estimate
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import decode, from_json
-from testbed.core.base.contents import fingerprint, read_text
-from testbed.core.base.errors import ExperimentError, plural
-from testbed.core.base.file_kinds import expecting
-from testbed.core.base.toml_text import checked, complaints, override
+from testbed.core.base.codec import from_json_values, parse_json
+from testbed.core.base.contents import read_text, sha256_of_file
+from testbed.core.base.errors import ExperimentError, count_with_noun
+from testbed.core.base.file_kinds import explain_wrong_kind
+from testbed.core.base.toml_text import (
+    apply_settings,
+    validate_tables,
+    validation_message,
+)
 from testbed.core.estimation.estimate import (
-    METHODS,
     Estimate,
     EstimateSummary,
-    Method,
-    channels_of,
+    channel_names,
 )
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
-from testbed.core.parameters.rules import Model
+from testbed.core.parameters.rules import SIGNALS, Signal
 from testbed.core.recordings.held import hold_still
 from testbed.core.recordings.source import Source
-from testbed.core.robot.model_file import ModelFile, file_of
+from testbed.core.robot.model_file import ModelFile, model_file_of
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import wrong_prior
+from testbed.lab.experiment.evaluate import perturbed_prior
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.results import EXPERIMENT, RESULT, UsedModel
+from testbed.lab.experiment.results import EXPERIMENT_FILE, RESULT_FILE, UsedModel
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import RecordingTables, StrictTable
 
-Part = TypeVar("Part", EstimateSummary, Posterior)
+AnyEstimate = TypeVar("AnyEstimate", EstimateSummary, Posterior)
+"""Estimate by least squares, or with the model file as prior."""
 
-LARGEST_RESULT = 50_000_000
-"""Bytes of a file with estimates; a thousand parameters have less."""
+MAX_RESULT_BYTES = 50_000_000
+"""Largest size of a file with estimates [bytes]; a thousand parameters take less."""
 
 
 @dataclass(frozen=True, eq=False)
-class KeptResult:
-    """Estimates of a file, and what they are of.
+class StoredResult:
+    """Estimates stored in a file, with their robot and settings.
 
     Attributes:
         tree: The robot.
-        settings: How the signals were treated.
-        prior: The robot with its bodies before the data: the file's; of a run, whose file is the
-            truth, those that its experiment starts from.
-        options: What is asked of consistent bodies, the prior error that which data chose.
-        estimates: By least squares, one a method.
-        answers: One a method.
+        settings: Filters and other settings of the estimates.
+        prior: Robot with the prior bodies. These are the bodies of the model file, or, for a
+            simulated run, whose model file is the truth, the perturbed bodies of its experiment.
+        options: Options of the consistent bodies, with the prior error chosen from the data.
+        estimates: Least-squares estimates, one per method.
+        reported_estimates: Estimates reported to the user, one per method.
     """
 
     tree: Tree
@@ -64,19 +67,19 @@ class KeptResult:
     prior: Tree
     options: ConsistencyOptions
     estimates: tuple[EstimateSummary, ...] = ()
-    answers: tuple[ReportedEstimate, ...] = ()
+    reported_estimates: tuple[ReportedEstimate, ...] = ()
 
     @property
     def file(self) -> ModelFile:
-        """The robot's model file, with the joints that are held."""
-        return file_of(self.tree)
+        """Model file of the robot, with locked joints."""
+        return model_file_of(self.tree)
 
     @property
-    def whole_estimates(self) -> list[Estimate]:
-        """The estimates with their structure.
+    def full_estimates(self) -> list[Estimate]:
+        """Least-squares estimates, with the minimal sets to which their parameters belong.
 
         Raises:
-            SettingsError: They are of other parameters.
+            SettingsError: The parameters do not match the robot and the settings.
         """
         settings = self.settings
         return [
@@ -84,120 +87,153 @@ class KeptResult:
             for each in self.estimates
         ]
 
-    def without_held(self, source: Source) -> Source:
-        """A recording without the columns of the joints that are held.
+    def without_locked_joints(self, source: Source) -> Source:
+        """Recording with the columns of locked joints removed.
+
+        Args:
+            source: Recording that may have these columns.
 
         Raises:
-            RecordingError: It has one of them elsewhere.
+            RecordingError: A locked joint moves in the recording, or rests at another position.
         """
         return hold_still(self.file, source, lock_only=True)[1]
 
 
 def read_result(
     path: Path, model: Path | None = None, settings: Sequence[str] = ()
-) -> KeptResult:
-    """The estimates of a file, and the robot and settings that they are of.
+) -> StoredResult:
+    """Read the estimates of a file, with their robot and settings.
 
     Args:
-        path: What `identify --json` printed, a run folder, or the result in it.
-        model: Where the model file is now; default where the file says.
+        path: Output of `identify --json`, a run folder, or the result file in it.
+        model: Current path of the model file; default the path stored in the file.
         settings: Overrides "table.key=value" of robot and identification.
 
     Raises:
-        ExperimentError: The file is no such result, or the model file is another.
+        ExperimentError: The file contains no such result, or the model file has changed.
         OSError: The file cannot be read.
     """
     if path.is_dir():
-        if not (path / RESULT).is_file():
+        if not (path / RESULT_FILE).is_file():
             raise ExperimentError(
-                f"'{path}' is no folder of a run that ended: no {RESULT} in it"
+                f"'{path}' is no folder of a run that ended: no {RESULT_FILE} in it"
             )
-        path = path / RESULT
+        path = path / RESULT_FILE
     if not path.exists():
         raise ExperimentError(
             f"there is no result '{path}': name what `identify --json` printed, or a run folder"
         )
-    with expecting(path, "result"):
-        content = _json(path)
-    own, answers = _estimates(content, path)
-    of = _of_run if content.get("settings") is None else _of_recording
-    kept = of(content, path, model, settings)
-    for each in (answer.estimate for answer in answers):
-        count = len(channels_of(kept.tree, each.method))
+    with explain_wrong_kind(path, "result"):
+        content = _json_object(path)
+    least_squares, reported = _stored_estimates(content, path)
+    result_from = _run_result if content.get("settings") is None else _recording_result
+    result = result_from(content, path, model, settings)
+    for each in (report.estimate for report in reported):
+        count = len(channel_names(result.tree, each.method))
         if len(each.residual) != count:
             raise ExperimentError(
                 f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
-                f"{plural(count, 'channel')}"
+                f"{count_with_noun(count, 'channel')}"
             )
-    return replace(kept, estimates=own, answers=answers)
+    return replace(result, estimates=least_squares, reported_estimates=reported)
 
 
-def _estimates(
+def _stored_estimates(
     content: dict[str, Any], path: Path
 ) -> tuple[tuple[EstimateSummary, ...], tuple[ReportedEstimate, ...]]:
-    """Estimates by least squares, and those that count, one a method.
+    """Least-squares and reported estimates of a file, each with one estimate per method.
 
     Raises:
-        ExperimentError: There is none, or one is not what it should be.
+        ExperimentError: There is no estimate, or an estimate is not valid.
     """
-    own = _by_method(EstimateSummary, content.get("estimates"), path)
-    with_file = _by_method(Posterior, content.get("posterior"), path, ": posterior")
-    there = [method for method in METHODS if method in own | with_file]
-    if not there:
+    least_squares = _estimates_by_method(
+        EstimateSummary, content.get("estimates"), path
+    )
+    posteriors = _estimates_by_method(
+        Posterior, content.get("posterior"), path, ": posterior"
+    )
+    methods = [method for method in SIGNALS if method in least_squares | posteriors]
+    if not methods:
         raise ExperimentError(
-            f"{path}: no result: it has no {' or '.join(METHODS)} estimate"
+            f"{path}: no result: it has no {' or '.join(SIGNALS)} estimate"
         )
     plain = bool(content.get("plain"))
     try:
-        answers = [
-            reported_estimate(own.get(m), with_file.get(m), plain=plain) for m in there
+        reported = [
+            reported_estimate(least_squares.get(m), posteriors.get(m), plain=plain)
+            for m in methods
         ]
     except ValueError as error:
         raise ExperimentError(f"{path}: {error}") from None
-    return tuple(own.values()), tuple(answers)
+    return tuple(least_squares.values()), tuple(reported)
 
 
-def _by_method(
-    kind: type[Part], content: Any, path: Path, part: str = ""
-) -> dict[Method, Part]:
-    """Read the estimates of a JSON object by method; {} where the content is no object."""
-    every = content if isinstance(content, dict) else {}
-    there = [method for method in METHODS if method in every]
-    return {m: _decoded(kind, every[m], f"{path}: {m}{part}") for m in there}
+def _estimates_by_method(
+    kind: type[AnyEstimate], content: Any, path: Path, suffix: str = ""
+) -> dict[Signal, AnyEstimate]:
+    """Estimates of a JSON object keyed by method, in the order of `SIGNALS`.
 
+    The result is empty if `content` is not an object.
 
-def _decoded(kind: type[Part], content: Any, source: str) -> Part:
-    """Read one estimate of a file.
+    Args:
+        kind: Class of the estimates.
+        content: JSON values by method.
+        path: Path of the file, for error messages.
+        suffix: Position within the file, for error messages.
 
     Raises:
-        ExperimentError: A part is missing, or is not what it should be.
+        ExperimentError: An estimate is not valid.
+    """
+    contents = content if isinstance(content, dict) else {}
+    methods = [method for method in SIGNALS if method in contents]
+    return {
+        m: _decoded_estimate(kind, contents[m], f"{path}: {m}{suffix}") for m in methods
+    }
+
+
+def _decoded_estimate(
+    kind: type[AnyEstimate], content: Any, source: str
+) -> AnyEstimate:
+    """Estimate from JSON values.
+
+    Args:
+        kind: Class of the estimate.
+        content: JSON values.
+        source: File name and position of the estimate, for error messages.
+
+    Raises:
+        ExperimentError: A field is missing, not valid or not finite, or a residual is negative.
     """
     try:
-        found: Part = decode(kind, {**content, "settings": Settings()}, {})
+        estimate: AnyEstimate = from_json_values(
+            kind, {**content, "settings": Settings()}, {}
+        )
     except ValidationError as error:
-        raise ExperimentError(f"{source}: {complaints(error, StrictTable)}") from None
+        raise ExperimentError(
+            f"{source}: {validation_message(error, StrictTable)}"
+        ) from None
     except TypeError as error:
         raise ExperimentError(f"{source}: no estimate: {error}") from None
-    numbers = [each for each in vars(found).values() if isinstance(each, np.ndarray)]
+    arrays = [each for each in vars(estimate).values() if isinstance(each, np.ndarray)]
     if (
-        not all(np.isfinite(each).all() for each in numbers)
-        or (found.residual < 0).any()
+        not all(np.isfinite(each).all() for each in arrays)
+        or (estimate.residual < 0).any()
     ):
         raise ExperimentError(
             f"{source}: its values, covariance, gravity and residual are finite numbers, the "
             "residual's none below zero"
         )
-    return found
+    return estimate
 
 
-def _json(path: Path) -> dict[str, Any]:
-    """What a file says.
+def _json_object(path: Path) -> dict[str, Any]:
+    """Read the JSON object in a file.
 
     Raises:
-        ExperimentError: It is not JSON, or no object.
+        ExperimentError: The file is not JSON, or contains no object.
     """
     try:
-        content = from_json(read_text(path, LARGEST_RESULT).encode())
+        content = parse_json(read_text(path, MAX_RESULT_BYTES).encode())
     except ValueError as error:
         raise ExperimentError(f"{path}: no result: it is not JSON: {error}") from None
     if not isinstance(content, dict):
@@ -207,84 +243,127 @@ def _json(path: Path) -> dict[str, Any]:
     return content
 
 
-def _of_recording(
-    content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> KeptResult:
-    """What a recording's estimates are of."""
-    kept = checked(UsedModel, content.get("model", {}), f"{path}: model")
-    said = content["settings"]
-    if not isinstance(said, dict):
-        raise ExperimentError(f"{path}: no result: it has no settings")
-    override(said, words)
-    tables = checked(RecordingTables, said, f"{path}: settings")
-    place = _checked_model(model or Path(kept.path), kept.sha256, path)
-    held = kept.lock | tables.robot.lock
-    file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
-    tree, options = tables.sensed(tables.robot.on(file.tree())), tables.consistent
-    if not any(word.startswith("consistent.prior_error") for word in words):
-        parts = (content.get("posterior") or {}).values()
-        chosen = [part["prior_error"] for part in parts if part.get("used")]
-        options = replace(options, prior_error=min(chosen, default=options.prior_error))
-    return KeptResult(tree, tables.identification, tree, options)
+def _recording_result(
+    content: dict[str, Any], path: Path, model: Path | None, overrides: Sequence[str]
+) -> StoredResult:
+    """Robot and settings of a result that contains both, as from `identify --json`.
 
-
-def _of_run(
-    content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> KeptResult:
-    """What a run's estimates are of, by the files beside them."""
-    beside = path.parent / EXPERIMENT
-    if not beside.is_file():
-        raise ExperimentError(
-            f"{path}: no result: it names no model, as `identify --json` does, and is in no run "
-            f"folder, with {EXPERIMENT}"
-        )
-    experiment = Experiment.from_toml(beside, words)
-    used = content.get("model")
-    sha256 = used.get("sha256") if isinstance(used, dict) else None
-    place = _checked_model(model or Path(experiment.model), sha256, path)
-    experiment = experiment.model_copy(update={"model": str(place)})
-    options = experiment.consistent or ConsistencyOptions()
-    tree = robot_of(experiment)
-    prior = wrong_prior(tree, experiment)
-    return KeptResult(tree, experiment.identification, prior, options)
-
-
-def _checked_model(place: Path, sha256: object, path: Path) -> Path:
-    """A model file, if it is the one that a result is of.
-
-    Raises:
-        ExperimentError: It is not there, or is another.
-    """
-    if "\0" in str(place) or not place.is_file():
-        raise ExperimentError(
-            f"{path}: its model file '{place}' is not there; --model names it"
-        )
-    if fingerprint(place) != sha256:
-        raise ExperimentError(
-            f"'{place}' is not the model of {path}: its SHA-256 is another"
-        )
-    return place
-
-
-def prior_covariance(kept: KeptResult, experiment: Experiment) -> Array:
-    """The covariance of an earlier estimate in the order of an experiment's parameters, (N, N).
+    Unless overridden, the prior error of the consistent bodies is the smallest prior error of the
+    posteriors in use.
 
     Args:
-        kept: The estimates of a file.
-        experiment: Says which parameters are wanted.
+        content: JSON object of the result.
+        path: Path of the result, for error messages.
+        model: Current path of the model file; default the path in the result.
+        overrides: Overrides "table.key=value".
+    """
+    used_model = validate_tables(UsedModel, content.get("model", {}), f"{path}: model")
+    settings = content["settings"]
+    if not isinstance(settings, dict):
+        raise ExperimentError(f"{path}: no result: it has no settings")
+    apply_settings(settings, overrides)
+    tables = validate_tables(RecordingTables, settings, f"{path}: settings")
+    model_path = _checked_model(model or Path(used_model.path), used_model.sha256, path)
+    lock = used_model.lock | tables.robot.lock
+    file = ModelFile(
+        model_path,
+        used_model.weld_root,
+        tables.robot.replacement_inertias or None,
+        lock,
+    )
+    tree, options = (
+        tables.sensed_part(tables.robot.configured_robot(file.tree())),
+        tables.consistent,
+    )
+    if not any(
+        override_text.startswith("consistent.prior_error")
+        for override_text in overrides
+    ):
+        posteriors = (content.get("posterior") or {}).values()
+        prior_errors = [
+            posterior["prior_error"]
+            for posterior in posteriors
+            if posterior.get("used")
+        ]
+        options = replace(
+            options, prior_error=min(prior_errors, default=options.prior_error)
+        )
+    return StoredResult(tree, tables.identification, tree, options)
+
+
+def _run_result(
+    content: dict[str, Any], path: Path, model: Path | None, overrides: Sequence[str]
+) -> StoredResult:
+    """Robot and settings of a result in a run folder, read from its experiment file.
+
+    Args:
+        content: JSON object of the result.
+        path: Path of the result.
+        model: Current path of the model file; default the path in the experiment file.
+        overrides: Overrides "table.key=value".
+    """
+    experiment_path = path.parent / EXPERIMENT_FILE
+    if not experiment_path.is_file():
+        raise ExperimentError(
+            f"{path}: no result: it names no model, as `identify --json` does, and is in no run "
+            f"folder, with {EXPERIMENT_FILE}"
+        )
+    experiment = Experiment.from_toml(experiment_path, overrides)
+    used_model = content.get("model")
+    sha256 = used_model.get("sha256") if isinstance(used_model, dict) else None
+    model_path = _checked_model(model or Path(experiment.model), sha256, path)
+    experiment = experiment.model_copy(update={"model": str(model_path)})
+    options = experiment.consistent or ConsistencyOptions()
+    tree = robot_of(experiment)
+    prior = perturbed_prior(tree, experiment)
+    return StoredResult(tree, experiment.identification, prior, options)
+
+
+def _checked_model(model: Path, sha256: object, path: Path) -> Path:
+    """Path of a model file whose SHA-256 equals the one in the result.
+
+    Args:
+        model: Path of the model file.
+        sha256: SHA-256 in the result.
+        path: Path of the result, for error messages.
 
     Raises:
-        ExperimentError: The file's estimates are of other parameters.
+        ExperimentError: The file does not exist or differs.
     """
-    joints = experiment.excitation.instrument == "joints"
-    wanted = "internal" if joints else "external"
-    model: Model = "dynamic" if joints else "reaction"
+    if "\0" in str(model) or not model.is_file():
+        raise ExperimentError(
+            f"{path}: its model file '{model}' is not there; --model names it"
+        )
+    if sha256_of_file(model) != sha256:
+        raise ExperimentError(
+            f"'{model}' is not the model of {path}: its SHA-256 is another"
+        )
+    return model
+
+
+def prior_covariance(result: StoredResult, experiment: Experiment) -> Array:
+    """Covariance of an earlier estimate, in an experiment's parameter order, (N, N).
+
+    The N parameters are the base parameters of the experiment's robot. The first least-squares
+    estimate by the selected method that has all of them is used.
+
+    Args:
+        result: Estimates of a file.
+        experiment: Experiment whose `excitation.instrument` selects the method: joint torques for
+            "joints", else the wrench.
+
+    Raises:
+        ExperimentError: The file has no estimate of all N parameters.
+    """
+    by_torque = experiment.excitation.instrument == "joints"
+    method = "torque" if by_torque else "wrench"
+    signal: Signal = "torque" if by_torque else "wrench"
     zeros = experiment.identification.zeros
-    names = minimal_set(robot_of(experiment), model, zeros=zeros).names
-    for estimate in kept.estimates:
-        if estimate.method == wanted and set(names) <= set(estimate.names):
+    names = minimal_set(robot_of(experiment), signal, zeros=zeros).names
+    for estimate in result.estimates:
+        if estimate.method == method and set(names) <= set(estimate.names):
             return estimate.marginal(names).covariance
     raise ExperimentError(
-        f"the earlier result has no {wanted} estimate of {', '.join(names)}: it must be of the "
+        f"the earlier result has no {method} estimate of {', '.join(names)}: it must be of the "
         "same robot, with the same identification.zeros"
     )

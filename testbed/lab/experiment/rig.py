@@ -1,7 +1,7 @@
-"""A rig: a robot, what else acts in its plant, and its sensors with their errors.
+"""Simulated rig: robot, effects in its plant, and sensors with their errors.
 
-Plain frozen values in SI units and radians at the joint side, complete before any file is read
-or anything is simulated.
+Plain frozen values in SI units and radians at the joint side, complete before any file is read or
+anything is simulated.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from testbed.core.base.errors import ExperimentError, SettingsError
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.robot.force_sensor import ForceSensor
-from testbed.core.robot.model_file import ModelFile, file_of
+from testbed.core.robot.model_file import ModelFile, model_file_of
 from testbed.core.robot.tree import Tree, require_tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.sensors import (
@@ -27,15 +27,16 @@ from testbed.lab.instruments.chain import Instrument
 from testbed.lab.simulation.effect import Effect
 from testbed.sensors.sensor_error import SensorError
 
-MOST_STEPS = 10_000
-"""Most simulation steps a sample: a thousand samples are held in full."""
+MAX_STEPS_PER_SAMPLE = 10_000
+"""Largest number of simulation steps per sample; about a thousand samples are held at full
+resolution."""
 
-MOST_SAMPLES = 2e6
-"""Most samples of one run: they are held in memory."""
+MAX_SAMPLES = 2e6
+"""Largest number of samples of a run, which are held in memory."""
 
 
 def _check_kinds(name: str, values: object, kind: type) -> None:
-    """Refuse what is no sequence of effects or sensors."""
+    """Raise SettingsError if values are not a sequence of the given class."""
     if not isinstance(values, Sequence) or not all(
         isinstance(each, kind) for each in values
     ):
@@ -46,18 +47,20 @@ def _check_kinds(name: str, values: object, kind: type) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rig(Summarized):
-    """A robot on its bedplate with all that determines what its sensors show along a motion.
+    """Robot on a bedplate with plant effects and sensors, for simulation along any motion.
 
     Attributes:
-        robot: The robot as `load_tree` reads it, under its gravity.
-        plant: What else acts in the plant: `Stribeck()`, `Payload()`, ... (docs/instruments.md).
-        sensors: What is recorded, and how well; positions always are. Default: everything, exactly.
-        rate: Samples a second, of sensors and controller [Hz].
-        averaged: Samples are means over their time; else values at its first instant.
-        friction: Keep the joints' friction.
-        step: Of the integration where a joint sticks or turns round; else up to 1 ms [s].
-        bandwidth: Of the joint controllers [rad/s].
-        warm_up: Time run before the recording starts [s].
+        robot: Robot of `load_tree`, under its gravity.
+        plant: Further effects in the plant: `Stribeck()`, `Payload()`, ... (docs/instruments.md).
+        sensors: Recorded signals with their errors, besides positions. Default: all, without
+            errors.
+        rate: Sampling rate of sensors and controller [Hz].
+        averaged: True if a sample is the mean over the sampling time, False if it is the value at
+            its start.
+        friction: True to simulate the joints' friction.
+        step: Integration step while a joint sticks or reverses [s]; otherwise steps are up to 1 ms.
+        bandwidth: Bandwidth of the joint controllers [rad/s].
+        warm_up: Simulated time before the recording starts [s].
     """
 
     robot: Tree
@@ -85,7 +88,7 @@ class Rig(Summarized):
                 "robot's, as robot.with_joints({JOINT: {'coulomb': 4.0}})"
             )
         object.__setattr__(
-            self, "plant", tuple(effect.on(names) for effect in self.plant)
+            self, "plant", tuple(effect.for_joints(names) for effect in self.plant)
         )
         object.__setattr__(self, "sensors", tuple(self.sensors))
         kinds = [type(sensor).__name__ for sensor in self.outer]
@@ -97,23 +100,25 @@ class Rig(Summarized):
                 )
         for joint in self.instrument.torque_constant_error:
             self.robot.index(joint)  # refuses joints that are not there
-        self.instrument.stages(names)  # refuses errors of joints that are not there
+        self.instrument.error_stages(
+            names
+        )  # refuses errors of joints that are not there
 
     @staticmethod
     def from_toml(path: str | Path) -> Rig:
         """Read the rig of an experiment file.
 
         Args:
-            path: The TOML file; `model` is taken relative to it.
+            path: TOML file; `model` is taken relative to it.
 
         Raises:
-            TestbedError: The file cannot be read, or says what is not understood.
+            TestbedError: The file cannot be read, or a key or value is not valid.
         """
         return rig_of(Experiment.from_toml(path))
 
     @property
     def summary(self) -> SummaryTable:
-        """Robot, plant and sensors, a line each."""
+        """Table with one line each for robot, plant and sensors."""
         rows = [("robot", repr(self.robot))]
         rows += [("plant", repr(each)) for each in self.plant]
         rows += [("sensor", repr(each)) for each in self.sensors]
@@ -124,39 +129,40 @@ class Rig(Summarized):
         """Model file of the robot.
 
         Raises:
-            ModelError: The robot was not read from one.
+            ModelError: The robot was not read from a file.
         """
-        return file_of(self.robot)
+        return model_file_of(self.robot)
 
     @property
     def true_robot(self) -> Tree:
-        """The robot with what the plant adds to it."""
+        """Robot including the payloads and rotors added by the plant's effects."""
         tree = self.robot
         for effect in self.plant:
-            tree = effect.robot(tree)
+            tree = effect.robot_with_effect(tree)
         return tree
 
     @property
     def outer(self) -> tuple[Sensor, ...]:
-        """Sensors of the joints and under the robot."""
+        """Sensors of the joints and the plate under the robot."""
         return tuple(each for each in self.sensors if each not in self.mounted.values())
 
     @property
     def mounted(self) -> dict[ForceSensor, ForcePlate]:
-        """Force sensors in the robot by their mounting."""
+        """Force sensors in the robot, keyed by their mounting."""
         plates = (each for each in self.sensors if isinstance(each, ForcePlate))
         return {each.mounting: each for each in plates if each.mounting is not None}
 
     @property
     def instrument(self) -> Instrument:
-        """Sensors of the joints and under the robot together."""
+        """Instrument that combines the sensors of the joints and the plate under the robot."""
         return self.instrument_of(*self.outer)
 
     def instrument_of(self, *sensors: Sensor) -> Instrument:
-        """Sensors together, at the rate of the rig.
+        """Combine sensors into one instrument at the rig's sampling rate.
 
         Args:
-            sensors: One of a kind.
+            sensors: At most one sensor of each class; the signals of a missing class have no
+                errors.
         """
         settings = {
             key: value for each in sensors for key, value in each.settings.items()
@@ -167,13 +173,14 @@ class Rig(Summarized):
         )
 
     def steps(self, seconds: float) -> int:
-        """Number of simulation steps a sample.
+        """Number of simulation steps per sample.
 
         Args:
-            seconds: Length of the recording.
+            seconds: Length of the recording [s].
 
         Raises:
-            SettingsError: Step, rate, controller and length do not fit each other.
+            SettingsError: The step does not divide the sampling time, the bandwidth exceeds half
+                the rate, or the length has fewer than 2 or more than `MAX_SAMPLES` samples.
         """
         if self.bandwidth > self.rate / 2:
             raise SettingsError(
@@ -181,32 +188,35 @@ class Rig(Summarized):
                 f"{self.rate:g} Hz; lower it to {self.rate / 2:g} or less"
             )
         steps = 1 / self.rate / self.step
-        if not 0.5 < steps < MOST_STEPS or abs(round(steps) / steps - 1) > 1e-9:
+        if (
+            not 0.5 < steps < MAX_STEPS_PER_SAMPLE
+            or abs(round(steps) / steps - 1) > 1e-9
+        ):
             raise SettingsError(
                 f"step = {self.step:g} s does not divide the sampling time 1 / rate = "
-                f"{1 / self.rate:g} s into 1 to {MOST_STEPS} steps"
+                f"{1 / self.rate:g} s into 1 to {MAX_STEPS_PER_SAMPLE} steps"
             )
         if not self.rate * seconds >= 2:
             raise SettingsError(
                 f"{seconds:g} s at {self.rate:g} Hz hold no two samples"
             )
-        if self.rate * (seconds + self.warm_up) > MOST_SAMPLES:
+        if self.rate * (seconds + self.warm_up) > MAX_SAMPLES:
             raise SettingsError(
                 f"{seconds:g} s (motion.duration) at {self.rate:g} Hz are more than the "
-                f"{MOST_SAMPLES:.0e} samples that one run holds in memory; make several runs"
+                f"{MAX_SAMPLES:.0e} samples that one run holds in memory; make several runs"
             )
         return round(steps)
 
 
 def rig_of(experiment: Experiment) -> Rig:
-    """The rig of an experiment: its robot under its gravity, plant and sensors.
+    """Rig of an experiment: robot under its gravity, plant and sensors.
 
     Args:
-        experiment: Names the model file.
+        experiment: Experiment with its model file.
 
     Raises:
-        UnknownName: A table names a joint that the robot has not.
-        ExperimentError: The base is measured, and not on a bedplate.
+        UnknownName: A table is for a joint that does not exist.
+        ExperimentError: `robot.base` is "measured": experiments have a bedplate.
     """
     tree = experiment.file.tree()
     for name in (*experiment.motion.max_velocity, *experiment.motion.max_acceleration):
@@ -215,22 +225,25 @@ def rig_of(experiment: Experiment) -> Rig:
         raise ExperimentError(
             'robot.base = "measured" is for recordings: experiments have a bedplate'
         )
-    how = experiment.measurement
+    instrument = experiment.measurement
     return Rig(
-        robot=experiment.robot.on(tree).with_gravity(experiment.gravity),
+        robot=experiment.robot.configured_robot(tree).with_gravity(experiment.gravity),
         plant=experiment.simulation.effect,
-        sensors=(*sensors_of(how), *experiment.mounted_sensors),
-        rate=how.rate,
-        averaged=how.averaged,
+        sensors=(*sensors_of(instrument), *experiment.mounted_sensors),
+        rate=instrument.rate,
+        averaged=instrument.averaged,
         **experiment.simulation.model_dump(exclude={"effect"}),
     )
 
 
 def robot_of(experiment: Experiment) -> Tree:
-    """The robot of an experiment with what its plant adds to it, under its gravity."""
+    """Robot of an experiment under its gravity, including the plant's payloads and rotors."""
     return rig_of(experiment).true_robot
 
 
 def sensed_robot(experiment: Experiment) -> Tree:
-    """What an experiment's wrench is of: its robot, or what lies beyond its force sensor."""
-    return experiment.sensed(robot_of(experiment))
+    """Links of an experiment's robot whose wrench is measured.
+
+    These are all links, or those selected by `robot.sensor`.
+    """
+    return experiment.sensed_part(robot_of(experiment))

@@ -1,4 +1,4 @@
-"""Sensors of a rig, each with its errors: plain frozen values, perfect by default."""
+"""Sensors of a rig with their errors: plain frozen values, perfect by default."""
 
 from __future__ import annotations
 
@@ -17,29 +17,31 @@ from testbed.sensors.sensor_error import FULL_SCALE, SensorError
 
 
 class Sensor(Value):
-    """One of the sensors of a rig."""
+    """Sensor of a rig: base class of force plate, joint torques and encoders."""
 
     errors: Sequence[SensorError]
 
     @property
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Instrument` for this sensor, without its errors."""
+        """Keyword arguments that describe this sensor to `Instrument`, without its errors."""
 
 
 @dataclass(frozen=True)
 class ForcePlate(Sensor):
-    """Six-axis force plate under the robot, or force sensor in it; perfect by default.
+    """Six-axis force plate under the robot, or six-axis force sensor in the robot.
 
-    It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, bedplate
-    axes, moment about the bedplate's origin.
+    It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, along the
+    bedplate's axes, with the moment about the bedplate's origin. By default it is perfect.
 
     Attributes:
         noise: Standard deviations of forces [N] and moments [N m].
-        errors: Further errors in order, as `PlateBias()` or `PlatePose()` (docs/instruments.md).
+        errors: Further errors, applied in this order, such as `PlateBias()` or `PlatePose()`
+            (docs/instruments.md).
         full_scale: Largest magnitudes of Fx, Fy, Fz [N], Mx, My, Mz [N m].
-        model: Name of a plate for sale, as "ati-axia80-m20": noise and range where not given.
-        mounting: Place in the robot; default under it.
+        model: Name of a commercial plate, such as "ati-axia80-m20", whose noise and range replace
+            those that are not given.
+        mounting: Position of a force sensor in the robot; None for the plate under it.
     """
 
     noise: tuple[float, float] = (0.0, 0.0)
@@ -56,7 +58,7 @@ class ForcePlate(Sensor):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Instrument` for this sensor, without its errors."""
+        """Keyword arguments that describe this sensor to `Instrument`, without its errors."""
         force, moment = self.noise
         return {
             "plate": self.model,
@@ -68,12 +70,13 @@ class ForcePlate(Sensor):
 
 @dataclass(frozen=True)
 class JointTorques(Sensor):
-    """Motor torques as the drives report them, (M, n) [N m or N]; perfect by default.
+    """Motor torques as reported by the drives, (M, n) [N m or N]; perfect by default.
 
     Attributes:
         noise: Standard deviation [N m or N].
-        gains: Reported over true torque by joint, as {"waist": 1.08}; 1 for all others.
-        errors: Further errors in order, as `TorqueOffset()` (docs/instruments.md).
+        gains: Ratio of reported to true torque by joint, such as {"waist": 1.08}; default 1.
+        errors: Further errors, applied in this order, such as `TorqueOffset()`
+            (docs/instruments.md).
     """
 
     noise: float = 0.0
@@ -82,7 +85,7 @@ class JointTorques(Sensor):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Instrument` for this sensor, without its errors."""
+        """Keyword arguments that describe this sensor to `Instrument`, without its errors."""
         errors = {joint: gain - 1 for joint, gain in self.gains.items()}
         return {"torque_noise": self.noise, "torque_constant_error": errors}
 
@@ -92,10 +95,11 @@ class Encoders(Sensor):
     """Joint positions, (M, n) [rad or m]; perfect by default.
 
     Attributes:
-        resolution: Least count; 0 for none [rad or m].
+        resolution: Size of the least count [rad or m]; 0 for continuous positions.
         noise: Standard deviation [rad or m].
-        kinematics: Measure velocities and accelerations exactly, too.
-        errors: Further errors in order, as `EncoderEccentricity()` (docs/instruments.md).
+        kinematics: True to measure velocities and accelerations exactly, too.
+        errors: Further errors, applied in this order, such as `EncoderEccentricity()`
+            (docs/instruments.md).
     """
 
     resolution: float = 0.0
@@ -105,7 +109,7 @@ class Encoders(Sensor):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Instrument` for this sensor, without its errors."""
+        """Keyword arguments that describe this sensor to `Instrument`, without its errors."""
         return {
             "encoder_resolution": self.resolution,
             "encoder_noise": self.noise,
@@ -113,26 +117,30 @@ class Encoders(Sensor):
         }
 
 
-def sensors_of(how: Instrument) -> tuple[Sensor, ...]:
-    """Sensors as the table [measurement] has them.
+def sensors_of(instrument: Instrument) -> tuple[Sensor, ...]:
+    """Encoders, joint torques and force plate described by the table [measurement].
 
     Args:
-        how: The table.
+        instrument: The table.
     """
     signals = ("position", "torque", "wrench", "tare")
-    errors = {s: [fault for fault in how.fault if fault.signal == s] for s in signals}
-    gains = {joint: 1 + error for joint, error in how.torque_constant_error.items()}
+    errors = {
+        s: [fault for fault in instrument.fault if fault.signal == s] for s in signals
+    }
+    gains = {
+        joint: 1 + error for joint, error in instrument.torque_constant_error.items()
+    }
     return (
         Encoders(
-            how.encoder_resolution,
-            how.encoder_noise,
-            how.senses_kinematics,
+            instrument.encoder_resolution,
+            instrument.encoder_noise,
+            instrument.senses_kinematics,
             errors["position"],
         ),
-        JointTorques(how.torque_noise, gains, errors["torque"]),
+        JointTorques(instrument.torque_noise, gains, errors["torque"]),
         ForcePlate(
-            (how.force_noise, how.moment_noise),
+            (instrument.force_noise, instrument.moment_noise),
             errors["wrench"] + errors["tare"],
-            how.full_scale,
+            instrument.full_scale,
         ),
     )

@@ -1,4 +1,4 @@
-"""Simulate a rig along a motion: its plant on the bedplate, its controller, its sensors."""
+"""Simulate a rig along a motion: plant on the bedplate, controller, sensors."""
 
 from __future__ import annotations
 
@@ -10,34 +10,39 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.contents import fingerprint
-from testbed.core.base.diagnostics import diagnose
+from testbed.core.base.contents import sha256_of_file
+from testbed.core.base.diagnostics import make_diagnostic
 from testbed.core.base.errors import ExperimentError, SettingsError
-from testbed.core.base.installation import versions
-from testbed.core.base.stages import Progress, unreported
+from testbed.core.base.installation import package_versions
+from testbed.core.base.stages import Progress, ignore_progress
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.recordings.geometry import geometry
-from testbed.core.recordings.metadata import Metadata, three
+from testbed.core.recordings.geometry import joint_geometry
+from testbed.core.recordings.metadata import Metadata, vector_tuple
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.rotations import to_rpy
+from testbed.core.robot.rotations import matrix_to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.rig import Rig
 from testbed.lab.experiment.sensors import ForcePlate, JointTorques
-from testbed.lab.instruments.chain import measure, with_sensors
-from testbed.lab.simulation.controller import Reference
-from testbed.lab.simulation.effect import StepForces
+from testbed.lab.instruments.chain import measure, with_sensor_readings
+from testbed.lab.simulation.controller import ReferenceMotion
+from testbed.lab.simulation.effect import ForceFunction
 from testbed.lab.simulation.gear_friction import Gears
 from testbed.lab.simulation.plant import build_plant
-from testbed.lab.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
+from testbed.lab.simulation.rollout import (
+    BlockCallback,
+    Rollout,
+    Sampling,
+    simulate_motion,
+)
 
 
 @runtime_checkable
-class FromRest(Reference, Protocol):
-    """A motion from rest to rest, its periodic part from zero."""
+class RestToRestReference(ReferenceMotion, Protocol):
+    """Motion that begins and ends at rest, with a periodic part from time zero."""
 
     @property
     def lead(self) -> float:
-        """Duration of the start before zero, and of the way to rest after the end [s]."""
+        """Duration of the start before time zero, and of the deceleration after the end [s]."""
 
     @property
     def end(self) -> float:
@@ -46,10 +51,10 @@ class FromRest(Reference, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SampledMotion:
-    """A motion through samples, by splines of fifth degree; at rest in its ends beyond them.
+    """Quintic spline through the samples of a motion, at rest before and after.
 
     Attributes:
-        samples: Times from zero, (M,) [s], and positions, (M, n) [rad or m]; M at least six.
+        samples: Times from zero, (M,) [s], and positions, (M, n) [rad or m]; at least six samples.
     """
 
     samples: Motion
@@ -61,72 +66,78 @@ class SampledMotion:
 
     @cached_property
     def _spline(self) -> Any:
+        """Quintic spline through the positions."""
         return make_interp_spline(self.samples.t, self.samples.q, k=5)
 
     def at(self, t: Array) -> Motion:
-        """The motion at times t, (M,) [s]."""
-        moving = (t >= 0) & (t <= self.period)
-        rates = [
-            moving[:, None] * self._spline(self.place(t), order) for order in (1, 2)
-        ]
-        return Motion(t, self._spline(self.place(t)), *rates)
+        """Positions, velocities and accelerations at times t, (M,) [s].
 
-    def place(self, t: Array) -> Array:
-        """Times on its path, (M,) [s]."""
+        Before and after the motion, the first and the last position are held.
+        """
+        is_moving = (t >= 0) & (t <= self.period)
+        rates = [
+            is_moving[:, None] * self._spline(self.path_time(t), order)
+            for order in (1, 2)
+        ]
+        return Motion(t, self._spline(self.path_time(t)), *rates)
+
+    def path_time(self, t: Array) -> Array:
+        """Times t clipped to the duration of the motion, (M,) [s]."""
         return np.clip(t, 0.0, self.period)
 
 
 def simulate(
     rig: Rig,
-    motion: Reference | Motion,
+    motion: ReferenceMotion | Motion,
     seconds: float = 60.0,
     seed: int = 0,
     *,
-    progress: Progress = unreported,
-    watch: Watch = unreported,
-    forces: StepForces | None = None,
+    progress: Progress = ignore_progress,
+    watch: BlockCallback = ignore_progress,
+    forces: ForceFunction | None = None,
     installed: int | None = None,
 ) -> Recording:
-    """Simulate a robot on its bedplate and measure it.
+    """Simulate a robot on its bedplate along a motion, measured by the rig's sensors.
 
     Args:
         rig: Robot, plant and sensors.
-        motion: Periodic, as `random_motion` or `design` gives it; from rest to rest; or one's
-            own samples `Motion(t, q, qd, qdd)`, of which positions count.
-        seconds: Length of the recording [s]; a motion from rest to rest and samples have their
+        motion: Periodic motion from `random_motion` or `design`, a motion from rest to rest, or
+            samples `Motion(t, q, qd, qdd)`, of which the positions are used.
+        seconds: Length of the recording [s]; motions from rest to rest and samples define their
             own.
-        seed: Of all noise.
-        progress: Called with samples done and samples in all.
-        watch: Called with what happens while it is simulated, a second or so at a time.
-        forces: On the joints, besides motors, friction and the plant's, asked before every step.
-        installed: Seed of signs and phases that sensors keep; default `seed`.
+        seed: Seed of all noise.
+        progress: Called with the number of finished samples and of all samples.
+        watch: Called with the simulated states about once a second of simulation.
+        forces: Function for joint forces in addition to motors, friction and the plant's effects,
+            called before every step.
+        installed: Seed of the constant signs and phases of sensor errors; default `seed`.
 
     Returns:
-        What the sensors show; `truth` holds what happened, and no estimator reads it.
+        Measured signals. `truth` holds the simulated states, which no estimator uses.
 
     Raises:
-        ModelError: The robot has no model file, or MuJoCo makes another robot of it.
+        ModelError: The robot has no model file, or MuJoCo's model of the robot differs from it.
         SettingsError: Values do not fit each other or the robot.
-        SimulationDiverged: The robot did not follow.
+        SimulationDiverged: The robot did not follow the motion.
     """
     if not isinstance(rig, Rig):
         raise SettingsError(
             f"simulate(rig, motion): rig is a Rig, found a {type(rig).__name__}"
         )
-    reference, begin, end = _course(rig, motion, seconds)
+    reference, begin, end = _reference_motion(rig, motion, seconds)
     sampling = Sampling(rig.rate, rig.steps(end), rig.averaged, rig.warm_up, begin)
     tree, model = rig.true_robot, rig.file
-    gears = _gears(rig, tree)
+    gears = _gear_friction(rig, tree)
     plant = build_plant(
         model,
         tree,
         rig.step,
-        changed=tree.names,
-        friction=rig.friction,
+        changed_joints=tree.names,
+        with_friction=rig.friction,
         effects=rig.plant,
         sensors=list(rig.mounted),
     )
-    happened = simulate_motion(
+    rollout = simulate_motion(
         plant,
         tree if rig.friction else tree.without_friction(),
         reference,
@@ -135,117 +146,156 @@ def simulate(
         sampling,
         progress,
         watch,
-        _forces(rig, tree, forces),
+        _total_forces(rig, tree, forces),
         gears,
     )
-    metadata = _metadata(rig, tree, happened, seed)
-    if isinstance(motion, FromRest):
+    metadata = _recording_metadata(rig, tree, rollout, seed)
+    if isinstance(motion, RestToRestReference):
         metadata = replace(metadata, counted=(0.0, motion.end))
-    return _measured(rig, happened, plant.tare, metadata, seed, installed)
+    return _measured_recording(rig, rollout, plant.tare, metadata, seed, installed)
 
 
-def _course(
-    rig: Rig, motion: Reference | Motion, seconds: float
-) -> tuple[Reference, float, float]:
-    """What the controller follows, when the recording begins and ends [s]."""
-    if isinstance(motion, FromRest):
+def _reference_motion(
+    rig: Rig, motion: ReferenceMotion | Motion, seconds: float
+) -> tuple[ReferenceMotion, float, float]:
+    """Reference of the controller, and the times at which the recording starts and ends [s].
+
+    A motion from rest to rest defines its own start and end. Samples end at their last time or at
+    `seconds`, whichever is earlier.
+
+    Raises:
+        SettingsError: The motion has another number of joints than the robot.
+    """
+    if isinstance(motion, RestToRestReference):
         return motion, -motion.lead, motion.end + motion.lead
-    found: Reference = SampledMotion(motion) if isinstance(motion, Motion) else motion
-    joints = found.at(np.zeros(1)).q.shape[1]
+    reference: ReferenceMotion = (
+        SampledMotion(motion) if isinstance(motion, Motion) else motion
+    )
+    joints = reference.at(np.zeros(1)).q.shape[1]
     if joints != rig.robot.n:
         raise SettingsError(
             f"the motion is of {joints} joints, the robot has {rig.robot.n}"
         )
     return (
-        found,
+        reference,
         0.0,
-        min(seconds, found.period) if isinstance(motion, Motion) else seconds,
+        min(seconds, reference.period) if isinstance(motion, Motion) else seconds,
     )
 
 
-def _forces(rig: Rig, tree: Tree, more: StepForces | None) -> StepForces | None:
-    """Sum of the forces of effects and of a caller; None for nothing."""
-    asked = [effect.forces(tree, rig.step) for effect in rig.plant]
-    pushes = [push for push in (*asked, more) if push is not None]
-    if not pushes:
+def _total_forces(
+    rig: Rig, tree: Tree, caller_forces: ForceFunction | None
+) -> ForceFunction | None:
+    """Function for the sum of the effects' joint forces and a caller's joint forces.
+
+    The result is None if there are no forces.
+    """
+    effect_forces = [effect.force_function(tree, rig.step) for effect in rig.plant]
+    functions = [each for each in (*effect_forces, caller_forces) if each is not None]
+    if not functions:
         return None
 
-    def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
-        return np.asarray(sum(each(time, q, qd, motor) for each in pushes))
+    def total(time: float, q: Array, qd: Array, motor: Array) -> Array:
+        return np.asarray(sum(each(time, q, qd, motor) for each in functions))
 
-    return push
+    return total
 
 
-def _gears(rig: Rig, tree: Tree) -> Gears | None:
-    """Friction of gears that is solved with the motion; None for none.
+def _gear_friction(rig: Rig, tree: Tree) -> Gears | None:
+    """Gear friction that is solved together with the motion; None without such an effect.
 
     Raises:
-        ExperimentError: Two effects take the place of the joints' own friction, or joints are
-            coupled.
+        ExperimentError: Two effects replace the friction of the joints, or joints are coupled.
     """
     owners = [effect.kind for effect in rig.plant if effect.owns_friction]
     if len(owners) > 1:
         raise ExperimentError(
             f"{' and '.join(owners)} both take the place of the joints' own friction: choose one"
         )
-    found = [gears for effect in rig.plant if (gears := effect.gears(tree)) is not None]
-    if found and tree.shafts:
+    gear_frictions = [
+        friction
+        for effect in rig.plant
+        if (friction := effect.gear_friction(tree)) is not None
+    ]
+    if gear_frictions and tree.shafts:
         raise ExperimentError(
             f"{owners[0]} is of joints with gears of their own, not of couplings"
         )
-    return found[0] if found else None
+    return gear_frictions[0] if gear_frictions else None
 
 
-def _measured(
+def _measured_recording(
     rig: Rig,
-    happened: Rollout,
+    rollout: Rollout,
     tare: Array,
     metadata: Metadata,
     seed: int,
     installed: int | None,
 ) -> Recording:
-    """What the sensors show of what happened."""
-    names, time = rig.robot.names, happened.time
-    found = measure(
-        rig.instrument, names, time, happened.truth, tare, metadata, seed, installed
+    """Recording of a simulated motion by the rig's sensors.
+
+    It contains the temperature if an effect models it. Torque and wrench are absent without a
+    sensor for them.
+
+    Args:
+        rig: Robot, plant and sensors.
+        rollout: Simulated true signals.
+        tare: Static wrench of the pedestal, (6,) [N, N m].
+        metadata: Metadata of the recording.
+        seed: Seed of all noise.
+        installed: Seed of the constant signs and phases of sensor errors; default `seed`.
+    """
+    names, time = rig.robot.names, rollout.time
+    recording = measure(
+        rig.instrument, names, time, rollout.truth, tare, metadata, seed, installed
     )
     for effect in rig.plant:
-        warmth = effect.temperature(time)
-        if warmth is not None:
-            found = replace(
-                found, temperature=np.broadcast_to(warmth, found.position.shape)
+        temperature = effect.temperature(time)
+        if temperature is not None:
+            recording = replace(
+                recording,
+                temperature=np.broadcast_to(temperature, recording.position.shape),
             )
-    mounted = {place.name: rig.instrument_of(own) for place, own in rig.mounted.items()}
-    if mounted:
-        found = with_sensors(found, mounted, seed, installed)
+    instruments = {
+        sensor.name: rig.instrument_of(plate) for sensor, plate in rig.mounted.items()
+    }
+    if instruments:
+        recording = with_sensor_readings(recording, instruments, seed, installed)
     kinds = [type(sensor) for sensor in rig.outer]
     if JointTorques not in kinds:
-        found = replace(found, torque=None)
-    return found if ForcePlate in kinds else replace(found, wrench=None, tare=None)
+        recording = replace(recording, torque=None)
+    return (
+        recording if ForcePlate in kinds else replace(recording, wrench=None, tare=None)
+    )
 
 
-def _metadata(rig: Rig, tree: Tree, run: Rollout, seed: int) -> Metadata:
-    """Metadata of a simulated recording."""
+def _recording_metadata(rig: Rig, tree: Tree, rollout: Rollout, seed: int) -> Metadata:
+    """Metadata of a simulated recording.
+
+    It contains the robot, gravity, geometry, hash of the model file, placements of the force
+    sensors, seed, versions, rms tracking errors, and a diagnostic for each joint that reached its
+    torque limit.
+    """
     saturated = (
-        diagnose("motion.saturated", name, share)
-        for name, share in zip(tree.names, run.saturated, strict=True)
+        make_diagnostic("motion.saturated", name, share)
+        for name, share in zip(tree.names, rollout.saturated_fraction, strict=True)
         if share
     )
     places = {
-        place.name: {
-            "link": place.link,
-            "position": place.position.tolist(),
-            "rpy": list(to_rpy(place.rotation)),
+        sensor.name: {
+            "link": sensor.link,
+            "position": sensor.position.tolist(),
+            "rpy": list(matrix_to_rpy(sensor.rotation)),
         }
-        for place in rig.mounted
+        for sensor in rig.mounted
     }
-    tracking = dict(zip(tree.names, run.tracking.tolist(), strict=True))
+    tracking = dict(zip(tree.names, rollout.tracking_error.tolist(), strict=True))
     return Metadata(
         robot=tree.name,
-        gravity=three(tree.gravity),
-        geometry=geometry(tree),
+        gravity=vector_tuple(tree.gravity),
+        geometry=joint_geometry(tree),
         sensors=places,
         diagnostics=tuple(saturated),
-        model_sha256=fingerprint(rig.file.path),
-        others={"seed": seed, "versions": versions(), "tracking_rms": tracking},
+        model_sha256=sha256_of_file(rig.file.path),
+        others={"seed": seed, "versions": package_versions(), "tracking_rms": tracking},
     )

@@ -1,4 +1,4 @@
-"""A run in a few sentences: what was found, how good it is; and whether the claim holds."""
+"""Summary of a run in sentences: prediction errors, parameter errors, verdict on the claim."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from testbed.bodies.verdict import WELL, verdict_of
-from testbed.core.base.diagnostics import paragraphs, sentences
-from testbed.core.base.errors import few, plural, round_significant
-from testbed.lab.experiment.score import share_of_signal
+from testbed.bodies.verdict import WELL_CODE, verdict_of
+from testbed.core.base.diagnostics import diagnostic_paragraphs, sentences
+from testbed.core.base.errors import count_with_noun, round_significant, shortened_list
+from testbed.lab.experiment.score import relative_rms_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -17,92 +17,116 @@ if TYPE_CHECKING:
     from testbed.bodies.posterior import Posterior
     from testbed.lab.experiment.run import Run
 
-SIGNALS = {"wrench": "base wrench", "torque": "rigid-body torques"}
-"""Of an `Accuracy`."""
+SIGNAL_NAMES = {"wrench": "base wrench", "torque": "rigid-body torques"}
+"""Names of the signals of an `Accuracy`, by attribute."""
 
 
 def summary(run: Run) -> list[str]:
-    """What a person reads first, a sentence each; the verdict is apart.
+    """Sentences on prediction errors, parameter errors, data and warnings of a run.
 
     Args:
-        run: The run.
+        run: Run with or without estimates.
     """
     if not run.estimates:
-        return [headline(run), *_cautions(run)]
+        return [headline(run), *_warning_count(run)]
     return [
         headline(run),
         *accuracy_lines(run),
-        f"Data: {_data(run)}.",
-        *_cautions(run),
+        f"Data: {_recording_size(run)}.",
+        *_warning_count(run),
     ]
 
 
 def accuracy_lines(run: Run) -> list[str]:
-    """Errors of the parameters, and what is left of another motion's signals, a sentence each.
+    """Sentences on parameter errors and on residuals of the validation recording.
 
     Args:
-        run: The run.
+        run: Run with or without known truth.
     """
-    return [*_parameters(run), *_measured(run)]
+    return [*_parameter_errors(run), *_validation_residuals(run)]
 
 
 def headline(run: Run) -> str:
-    """The first sentence: how well force plate and joint torques predict what the robot does.
+    """First sentences of a summary: prediction errors from force plate and joint torques.
+
+    For a recording without known truth, or with posteriors, they are instead the verdict on its
+    estimates and the parameters that it determines.
 
     Args:
-        run: The run.
+        run: Run with or without estimates.
     """
-    made = run.posterior.values()
-    if not (run.estimates or made):
-        return f"From {_data(run)} no estimate could be made."
-    if made or run.score is None:
-        said = verdict_of(run.estimates.values(), made, doubts=run.diagnostics)
-        shown = (
-            [each for each in parts if each[:6] != "Remedy"]
-            for parts in paragraphs(said)
+    posteriors = run.posterior.values()
+    if not (run.estimates or posteriors):
+        return f"From {_recording_size(run)} no estimate could be made."
+    if posteriors or run.score is None:
+        reservations = verdict_of(
+            run.estimates.values(), posteriors, doubts=run.diagnostics
         )
-        first = [f"{text[0].upper()}{text[1:]}." for text in map(". ".join, shown)]
-        return " ".join([*first, *data_lines(made, well=said[0].code == WELL)])
+        paragraph_parts = (
+            [each for each in parts if each[:6] != "Remedy"]
+            for parts in diagnostic_paragraphs(reservations)
+        )
+        texts = [
+            f"{text[0].upper()}{text[1:]}." for text in map(". ".join, paragraph_parts)
+        ]
+        return " ".join(
+            [
+                *texts,
+                *determined_parameter_lines(
+                    posteriors, without_reservations=reservations[0].code == WELL_CODE
+                ),
+            ]
+        )
     errors = _prediction_errors(run)
     if not errors:
-        return f"From {_data(run)} nothing can be predicted: the robot makes no force."
-    where = "a held-out motion" if run.validation else "the motion used for the fit"
+        return f"From {_recording_size(run)} nothing can be predicted: the robot makes no force."
+    motion = "a held-out motion" if run.validation else "the motion used for the fit"
     listed = "; ".join(errors)
-    return f"Prediction error on {where}, rms relative to the signal: {listed}{assumed(run)}."
+    return (
+        f"Prediction error on {motion}, rms relative to the signal: "
+        f"{listed}{torque_constant_remark(run)}."
+    )
 
 
 def _prediction_errors(run: Run) -> list[str]:
-    """Errors of the signals that a sensor or the robot shows, a phrase a signal."""
-    part = run.tree.is_part  # whose joints carry more than what the sensor feels
+    """Phrases with the prediction errors of each method, one phrase per signal."""
+    is_part = run.tree.is_part  # joint torques then carry more bodies than the sensor
     errors: dict[str, list[str]] = {}
-    for name, signal in ({"wrench": "sensor wrench"} if part else SIGNALS).items():
+    for name, signal in (
+        {"wrench": "sensor wrench"} if is_part else SIGNAL_NAMES
+    ).items():
         for method, accuracy in (
             {} if run.score is None else run.score.accuracy
         ).items():
             share = getattr(accuracy, name)
             if share is not None:
-                phrase = f"{percent(share)} by the {run.estimates[method].instrument}"
+                phrase = (
+                    f"{percent_text(share)} by the {run.estimates[method].instrument}"
+                )
                 errors.setdefault(signal, []).append(phrase)
     return [f"{signal} {', '.join(phrases)}" for signal, phrases in errors.items()]
 
 
-def assumed(run: Run) -> str:
-    """What the experiment assumes of the torque constants; "" if nothing."""
+def torque_constant_remark(run: Run) -> str:
+    """Remark on the simulated errors of the torque constants; "" without such errors."""
     table = (
         {}
         if run.experiment is None
         else run.experiment.measurement.torque_constant_error
     )
     sizes = sorted({abs(error) for error in table.values() if error})
-    if not sizes or "internal" not in run.estimates:
+    if not sizes or "torque" not in run.estimates:
         return ""
-    least, most = (f"{100 * size:.3g}" for size in (sizes[0], sizes[-1]))
-    size = least if least == most else f"{least} to {most}"
+    smallest, largest = (f"{100 * size:.3g}" for size in (sizes[0], sizes[-1]))
+    size = smallest if smallest == largest else f"{smallest} to {largest}"
     return f" (simulated torque constants are {size} % off)"
 
 
-def _parameters(run: Run) -> list[str]:
-    """Median error and largest error over sigma of the minimal parameters, by method."""
+def _parameter_errors(run: Run) -> list[str]:
+    """Sentence with the median and largest error of the base parameters, by method.
+
+    The list is empty without known truth.
+    """
     if run.score is None:
         return []
     phrases = []
@@ -114,65 +138,76 @@ def _parameters(run: Run) -> list[str]:
         )
         parts = [f"{count} by the {estimate.instrument}"]
         if relative.size:
-            parts.append(f"median error {percent(float(np.median(relative)))}")
+            parts.append(f"median error {percent_text(float(np.median(relative)))}")
         if z.size:
-            rest = " (without friction)" if estimate.joint_terms else ""
-            parts.append(f"largest error {z.max():.3g} standard deviations{rest}")
+            remark = " (without friction)" if estimate.joint_terms else ""
+            parts.append(f"largest error {z.max():.3g} standard deviations{remark}")
         phrases += [", ".join(parts)] if len(parts) > 1 else []
     return [f"Base parameters: {'; '.join(phrases)}."] if phrases else []
 
 
-def data_lines(found: Iterable[Posterior], *, well: bool) -> Iterator[str]:
-    """What of the model file a recording settles, a sentence a method.
+def determined_parameter_lines(
+    posteriors: Iterable[Posterior], *, without_reservations: bool
+) -> Iterator[str]:
+    """Yield a sentence per method on the parameters that a recording determines.
 
     Args:
-        found: Of one recording, one a method.
-        well: Whether the verdict has no reservations.
+        posteriors: Estimates with the model file as prior, one per method.
+        without_reservations: True if the verdict contains no reservations.
     """
-    by = "By" if well else "With these reservations, by"
-    for each in found:
-        whole = plural(each.count, "parameter")
+    by = "By" if without_reservations else "With these reservations, by"
+    for each in posteriors:
+        total = count_with_noun(each.count, "parameter")
         if not each.used:
-            yield f"{by} the {each.instrument} this recording determines all {whole}."
+            yield f"{by} the {each.instrument} this recording determines all {total}."
             continue
-        own = each.determined
-        names = f": {few(list(own))}" if own else ""
+        determined = each.determined
+        names = f": {shortened_list(list(determined))}" if determined else ""
         yield (
-            f"{by} the {each.instrument} this recording determines {len(own)} of {whole}{names}; "
-            "for the rest the model file's values stand, as far as the data do not change them."
+            f"{by} the {each.instrument} this recording determines {len(determined)} of "
+            f"{total}{names}; for the rest the model file's values stand, "
+            "as far as the data do not change them."
         )
 
 
-def _measured(run: Run) -> list[str]:
-    """What is left of another motion's signals, noise among it, a sentence for all; or nothing."""
+def _validation_residuals(run: Run) -> list[str]:
+    """Sentence with the residuals of the validation recording relative to its signals.
+
+    Residuals contain the sensor noise; each is followed by its expected value. The list is empty
+    without validation.
+    """
     phrases = []
-    for method, found in run.validation.items():
-        roots = np.sqrt(found.rows)
+    for method, validation in run.validation.items():
+        roots = np.sqrt(validation.rows)
         signal, *errors = (
-            np.nan_to_num(roots * x) for x in (found.signal, found.error, found.allowed)
+            np.nan_to_num(roots * x)
+            for x in (validation.signal, validation.error, validation.expected_error)
         )
-        shares = [share_of_signal(error, signal, found.units) for error in errors]
-        known = [percent(share) for share in shares if share is not None]
+        shares = [
+            relative_rms_error(error, signal, validation.units) for error in errors
+        ]
+        known = [percent_text(share) for share in shares if share is not None]
         if len(known) == len(shares):
-            what = "base wrench" if method == "external" else "joint torques"
-            phrases.append(f"{what} {known[0]}, expected {known[1]}")
-    said = "; ".join(phrases)
+            signal_name = "base wrench" if method == "wrench" else "joint torques"
+            phrases.append(f"{signal_name} {known[0]}, expected {known[1]}")
+    text = "; ".join(phrases)
     if not phrases:
         return []
-    return [f"Rms of measured minus predicted there, in percent of the signal: {said}."]
+    return [f"Rms of measured minus predicted there, in percent of the signal: {text}."]
 
 
-def _data(run: Run) -> str:
+def _recording_size(run: Run) -> str:
+    """Sentence with length, sampling rate and robot of the recording."""
     recording = run.recording
     length = float(recording.time[-1] - recording.time[0])
     return f"{length:.3g} s at {recording.rate:.4g} Hz of {run.tree.name}"
 
 
-def verdict(run: Run) -> str:
-    """Whether the claim holds, and if not, why; "" for a run without claims.
+def claim_verdict(run: Run) -> str:
+    """Verdict on the claim, with the reasons if it fails; "" without claims.
 
     Args:
-        run: The run.
+        run: Run of an experiment.
     """
     verdicts = run.verdicts
     if not verdicts or run.experiment is None:
@@ -182,23 +217,24 @@ def verdict(run: Run) -> str:
         return "The claim holds."
     claims = run.experiment.expect
     reasons = [
-        f"{name.replace('_', ' ')} is {obtained(run, name)}, claimed {claims[name].wanted}"
+        f"{name.replace('_', ' ')} is {metric_text(run, name)}, claimed {claims[name].description}"
         for name in failed
     ]
     return f"The claim does not hold: {'; '.join(reasons)}."
 
 
-def _cautions(run: Run) -> list[str]:
+def _warning_count(run: Run) -> list[str]:
+    """Sentence with the number of warnings; an empty list without warnings."""
     count = len(sentences(run.diagnostics))
     verb = "is" if count == 1 else "are"
-    return [f"There {verb} {plural(count, 'warning')}."] if count else []
+    return [f"There {verb} {count_with_noun(count, 'warning')}."] if count else []
 
 
-def obtained(run: Run, metric: str) -> str:
-    """A metric as it is printed; that there is none, if so."""
+def metric_text(run: Run, metric: str) -> str:
+    """Text of a metric with three digits; "not there" if it is missing."""
     return f"{run.metrics[metric]:.3g}" if metric in run.metrics else "not there"
 
 
-def percent(share: float) -> str:
-    """A share with two digits: 0.03 %, 160 %."""
+def percent_text(share: float) -> str:
+    """Text of a fraction in percent with two digits, such as 0.03 % or 160 %."""
     return f"{round_significant(100 * share, 2):g} %"

@@ -1,4 +1,4 @@
-"""Validate an estimate on a recording that it has not seen."""
+"""Validation of an estimate on another recording."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ from testbed.core.recordings.recording import Recording
 def validate(
     estimate: Estimate, data: Recording | str | Path, settings: Settings | None = None
 ) -> Validation:
-    """What an estimate leaves of a recording that it has not seen.
+    """Validate an estimate on a recording that was not used to make it.
 
     Args:
-        estimate: Of `identify`.
+        estimate: Estimate returned by `identify`.
         data: Another recording of the same robot and sensors.
-        settings: How its signals are treated; default as those of the estimate.
+        settings: Filters applied to the recording's signals; default those of the estimate.
+
+    Returns:
+        Residuals on the recording for each channel, and their expected size.
 
     Raises:
         RecordingError: The recording cannot be used for the estimate's signal.
+        SettingsError: `estimate` is not an `Estimate`.
     """
     if not isinstance(estimate, Estimate):
         raise SettingsError(

@@ -1,5 +1,5 @@
-"""What encoders, joint torques and the force plate read.
+"""Simulated measurements of encoders, joint torques and the force plate.
 
 In: true signals.
-Out: measured signals, with noise, faults and clocks.
+Out: measured signals, with noise, systematic errors and clock errors.
 """

@@ -1,4 +1,4 @@
-"""Chains of sensor errors, each with random numbers of its own."""
+"""Chains of sensor errors, each with an independent random stream."""
 
 from __future__ import annotations
 
@@ -11,49 +11,53 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.sensors.sensor_error import SensorError
 
-_FIRST_STREAMS = {"encoder_noise": 0, "torque_noise": 1, "plate_noise": 2}
-"""Streams of the kinds that were there before kinds had names; their noise stays the same."""
+_FIXED_STREAMS = {"encoder_noise": 0, "torque_noise": 1, "plate_noise": 2}
+"""Fixed stream numbers of kinds whose noise must stay the same as in earlier versions."""
 
 
-def stream(kind: str, seed: int, number: int = 0, use: str = "") -> np.random.Generator:
-    """Random numbers of an error.
+def random_stream(
+    kind: str, seed: int, number: int = 0, use: str = ""
+) -> np.random.Generator:
+    """Random generator of a sensor error.
+
+    Generators for different arguments are independent.
 
     Args:
-        kind: Of the error.
-        seed: Of the recording.
-        number: Of the error among those of its kind in its chain.
-        use: What the numbers are for; by default the noise of a recording.
+        kind: Kind of the error.
+        seed: Seed of the recording.
+        number: Index of the error among the errors of the same kind in its chain.
+        use: Purpose of the random numbers; "" for the noise of a recording.
     """
 
     def code(word: str) -> int:
         return int.from_bytes(hashlib.sha256(word.encode()).digest()[:4], "big")
 
-    key = [_FIRST_STREAMS.get(kind, code(kind))]
+    key = [_FIXED_STREAMS.get(kind, code(kind))]
     if number or use:
         key += [number, code(use)]
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
 
 
-def number_kinds(chain: Iterable[SensorError]) -> Iterator[tuple[SensorError, int]]:
-    """Errors, each with its number among those of its kind."""
-    seen: Counter[str] = Counter()
+def numbered_errors(chain: Iterable[SensorError]) -> Iterator[tuple[SensorError, int]]:
+    """Yield each sensor error with its index among the errors of its kind, from 0."""
+    counts: Counter[str] = Counter()
     for error in chain:
-        yield error, seen[error.kind]
-        seen[error.kind] += 1
+        yield error, counts[error.kind]
+        counts[error.kind] += 1
 
 
 def apply_chain(
     chain: Iterable[SensorError], signal: Array, time: Array, seed: int, use: str = ""
 ) -> Array:
-    """Signal after a chain of errors, in their order.
+    """Apply a chain of sensor errors to a signal, in the order of the chain.
 
     Args:
-        chain: The errors.
-        signal: (M, k).
-        time: (M,) [s].
-        seed: Of the recording.
-        use: What is measured, where it is not a recording's signal: it has noise of its own.
+        chain: The sensor errors.
+        signal: Signal without errors, (M, k).
+        time: Times of the samples, (M,) [s].
+        seed: Seed of the recording.
+        use: Purpose of a measurement that is not part of the recording; it selects other noise.
     """
-    for error, number in number_kinds(chain):
-        signal = error.apply(signal, time, stream(error.kind, seed, number, use))
+    for error, number in numbered_errors(chain):
+        signal = error.apply(signal, time, random_stream(error.kind, seed, number, use))
     return signal

@@ -1,5 +1,5 @@
-"""The plant, by MuJoCo.
+"""Simulation of the plant, the robot on its bedplate, in MuJoCo.
 
-In: a model file, a motion, what else is in the plant.
-Out: true signals.
+In: a model file, a motion, effects such as gear friction or a payload.
+Out: true signals: positions, torques, wrench.
 """

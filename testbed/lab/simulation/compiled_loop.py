@@ -1,6 +1,6 @@
-"""The loop over samples in machine code: the controller's law, and MuJoCo by address.
+"""Compiled simulation loop over samples: controller and MuJoCo's functions by address.
 
-Through Python a sample would cost more than what MuJoCo does in it.
+In Python a sample would take longer than MuJoCo's integration of it.
 """
 
 from __future__ import annotations
@@ -14,65 +14,77 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.kernel.compiler import call, outer, plain
+from testbed.core.kernel.compiler import call_address, compiled_entry, compiled_function
 from testbed.lab.simulation.controller import DAMPING, Controller
 
-SLIPS = 1e-6
-"""Part of dry friction by which the force that MuJoCo finds may differ while a joint slips."""
+SLIP_TOLERANCE = 1e-6
+"""Relative tolerance between MuJoCo's friction force and dry friction of a joint that slips."""
 
-TURNS = 2.0
-"""Changes of speed in a sample that a slipping joint must be faster than, not to turn round."""
+MIN_SPEED_CHANGES = 2.0
+"""Smallest speed of a joint that is taken to slip for a whole sample, in changes of speed per
+sample: a slower joint may reverse."""
 
 
 class Engine(NamedTuple):
-    """Addresses: MuJoCo's functions and structures, and what pushes the joints (0 for nothing)."""
+    """Addresses of MuJoCo's functions and structures, and of the force callback.
+
+    The function at `force_callback` applies forces to the joints; the address is 0 if there is
+    none.
+    """
 
     runge_kutta: int
     forward: int
     forward_skip: int
     model: int
-    smooth_model: int  # the same with another step
+    smooth_model: int  # copy of the model with a longer step
     data: int
-    push: int
+    force_callback: int
 
 
 class State(NamedTuple):
-    """MuJoCo's live arrays, and what belongs to them."""
+    """Views of MuJoCo's state arrays, with joint indices and a buffer.
+
+    Arrays have one element per MuJoCo velocity, (nv,), except `motor`, with one per joint, and
+    `sensor_data`.
+    """
 
     position: Array
     velocity: Array
     acceleration: Array
     motor: Array
-    pushed: Array
-    sensed: Array
-    passive: Array
-    constraint: Array
-    dry: Array  # friction of each velocity
-    order: NDArray[np.int64]  # which velocity is each joint's
-    kept: Array  # room for positions and velocities, (2, nv)
+    applied_force: Array
+    sensor_data: Array
+    passive_force: Array
+    constraint_force: Array
+    dry_friction: Array  # dry friction by MuJoCo's velocities
+    order: NDArray[np.int64]  # index of each joint's velocity
+    saved_state: Array  # buffer for positions and velocities, (2, nv)
 
 
 class Clock(NamedTuple):
-    """How samples are cut into steps."""
+    """Division of a sample into integration steps."""
 
-    period: float  # of a sample
-    steps: int  # of a sample
-    smooth_steps: int  # of a smooth one; 0 where none is taken for such
-    averaged: bool
+    period: float  # duration of a sample [s]
+    steps: int  # number of steps per sample
+    smooth_steps: int  # number for a sample with smooth forces; 0 to use `steps`
+    averaged: bool  # samples are means, else first instants
 
 
 class Log(NamedTuple):
-    """What happens, a row a sample."""
+    """Logged signals, one row per sample.
+
+    Torques, velocities and accelerations have one column per joint, losses one per MuJoCo velocity.
+    """
 
     torque: Array
-    velocity: Array  # at its first instant
-    acceleration: Array  # likewise
-    sensed: Array
-    lost: Array  # what passive forces, constraints and pushes add
+    velocity: Array  # at the first instant of the sample
+    acceleration: Array  # at the first instant of the sample
+    sensor_data: Array  # sums or first instants of the sensor data
+    losses: Array  # passive, constraint and applied forces
 
 
 def mujoco_functions() -> dict[str, int]:
-    """Addresses of what the loop calls, by the names of `Engine`."""
+    """Addresses of the MuJoCo functions that the loop calls, keyed by field of `Engine`."""
     library = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco.*"))))
     functions = {
         "runge_kutta": library.mj_RungeKutta,
@@ -85,8 +97,8 @@ def mujoco_functions() -> dict[str, int]:
     }
 
 
-@outer
-def follow(
+@compiled_entry
+def simulate_samples(
     engine: Engine,
     state: State,
     drive: Controller,
@@ -95,62 +107,86 @@ def follow(
     first: int,
     stopped: NDArray[np.bool_],
 ) -> None:
-    """Follow the reference for as many samples as the log has rows.
+    """Simulate the plant under computed torque, one sample per row of the log.
 
-    The torque is held over a sample. Means over it are by the trapezoidal rule, and by Simpson's
-    where it is smooth: then a step's middle follows from positions and velocities at its ends.
+    The motor torque is constant over a sample. Means over a sample are computed by the trapezoidal
+    rule. If all joints with dry friction slip, the sample is divided into `smooth_steps` longer
+    steps, and means are computed by Simpson's rule, with the middle of a step interpolated from
+    positions and velocities at its ends. The function returns early if the force callback has
+    failed.
 
     Args:
-        engine: What is called.
-        state: Of the plant, at the first instant and afterwards at the last; derived values too.
+        engine: Addresses of MuJoCo's functions and structures.
+        state: State of the plant with derived values, at the first instant; on return, at the last.
         drive: The controller.
-        clock: The samples.
-        log: Filled; sums begin with zero.
+        clock: Division of a sample into steps.
+        log: Signals, filled on return; sums must be zero initially.
         first: Number of the first sample.
-        stopped: Whether a push has failed, (1,).
+        stopped: True if the force callback has failed, (1,).
     """
     for row in range(len(log.torque)):
         k = first + row
         torque = log.torque[row]
         motor_torque(drive, k, state.position, state.velocity, state.order, torque)
         _copy(torque, state.motor)
-        if engine.push:
-            call(engine.push, (drive.times[k],))
-        call(engine.forward_skip, (engine.model, engine.data, np.int32(2), np.int32(0)))
+        if engine.force_callback:
+            call_address(engine.force_callback, (drive.times[k],))
+        call_address(
+            engine.forward_skip, (engine.model, engine.data, np.int32(2), np.int32(0))
+        )
         for i, joint in enumerate(state.order):
             log.velocity[row, i] = state.velocity[joint]
             log.acceleration[row, i] = state.acceleration[joint]
-        model, steps, middle = engine.model, clock.steps, 0.0
-        if clock.smooth_steps and _smooth(state, clock.period):
-            model, steps, middle = engine.smooth_model, clock.smooth_steps, 2 / 3
+        model, steps, midpoint_weight = engine.model, clock.steps, 0.0
+        if clock.smooth_steps and _has_smooth_forces(state, clock.period):
+            model, steps, midpoint_weight = (
+                engine.smooth_model,
+                clock.smooth_steps,
+                2 / 3,
+            )
         step = clock.period / steps
         if not clock.averaged:
-            _add(state, log.sensed[row], log.lost[row], 1.0)
+            _accumulate(state, log.sensor_data[row], log.losses[row], 1.0)
         for number in range(steps):
-            if engine.push and number:
-                call(engine.push, (drive.times[k] + number * step,))
-                call(
+            if engine.force_callback and number:
+                call_address(engine.force_callback, (drive.times[k] + number * step,))
+                call_address(
                     engine.forward_skip, (model, engine.data, np.int32(2), np.int32(0))
                 )
             if stopped[0]:
                 return
             if clock.averaged:
-                _add(state, log.sensed[row], log.lost[row], (1 - middle) / 2 / steps)
-            _copy(state.position, state.kept[0])
-            _copy(state.velocity, state.kept[1])
-            call(engine.runge_kutta, (model, engine.data, np.int32(4)))
-            if clock.averaged and middle:
-                _to_middle(state, step)
-                call(engine.forward, (model, engine.data))
-                _add(state, log.sensed[row], log.lost[row], middle / steps)
-                _copy(state.kept[0], state.position)
-                _copy(state.kept[1], state.velocity)
-            call(engine.forward, (model, engine.data))
+                _accumulate(
+                    state,
+                    log.sensor_data[row],
+                    log.losses[row],
+                    (1 - midpoint_weight) / 2 / steps,
+                )
+            _copy(state.position, state.saved_state[0])
+            _copy(state.velocity, state.saved_state[1])
+            call_address(engine.runge_kutta, (model, engine.data, np.int32(4)))
+            if clock.averaged and midpoint_weight:
+                _interpolate_midpoint(state, step)
+                call_address(engine.forward, (model, engine.data))
+                _accumulate(
+                    state,
+                    log.sensor_data[row],
+                    log.losses[row],
+                    midpoint_weight / steps,
+                )
+                _copy(state.saved_state[0], state.position)
+                _copy(state.saved_state[1], state.velocity)
+            call_address(engine.forward, (model, engine.data))
             if clock.averaged:
-                _add(state, log.sensed[row], log.lost[row], (1 - middle) / 2 / steps)
+                _accumulate(
+                    state,
+                    log.sensor_data[row],
+                    log.losses[row],
+                    (1 - midpoint_weight) / 2 / steps,
+                )
 
 
-@plain
+@compiled_function
 def motor_torque(
     drive: Controller,
     k: int,
@@ -159,62 +195,91 @@ def motor_torque(
     order: NDArray[np.int64],
     torque: Array,
 ) -> None:
-    """Motor torques for sample k within the limits of the motors; compiled.
+    """Set the motor torques of a sample: computed torque, limited to the maximum effort.
+
+    The torque before limiting is feedforward + M (w^2 e + 2 `DAMPING` w de/dt), with the mass
+    matrix M, the bandwidth w and the position error e.
 
     Args:
         drive: The controller.
-        k: The sample.
-        position: (nv,) [rad or m].
-        velocity: (nv,) [rad/s or m/s].
-        order: Where each joint's stand among these, (n,).
-        torque: Set, (n,) [N m or N].
+        k: Number of the sample.
+        position: Positions, (nv,) [rad or m].
+        velocity: Velocities, (nv,) [rad/s or m/s].
+        order: Index of each joint among MuJoCo's positions and velocities, (n,).
+        torque: Motor torques, set on return, (n,) [N m or N].
     """
-    inertia, stiffness = drive.inertia[drive.posture[k]], drive.bandwidth**2
+    inertia, stiffness = drive.inertia[drive.mass_matrix_index[k]], drive.bandwidth**2
     damping = 2 * DAMPING * drive.bandwidth
     for i in range(len(order)):
-        wanted = drive.expected[k, i]
-        for j, at in enumerate(order):
-            late, slow = drive.q[k, j] - position[at], drive.qd[k, j] - velocity[at]
-            wanted += inertia[i, j] * (stiffness * late + damping * slow)
-        torque[i] = min(max(wanted, -drive.effort[i]), drive.effort[i])
+        command = drive.feedforward[k, i]
+        for j, index in enumerate(order):
+            position_error, velocity_error = (
+                drive.q[k, j] - position[index],
+                drive.qd[k, j] - velocity[index],
+            )
+            command += inertia[i, j] * (
+                stiffness * position_error + damping * velocity_error
+            )
+        torque[i] = min(max(command, -drive.effort[i]), drive.effort[i])
 
 
-@plain
+@compiled_function
 def _copy(source: Array, target: Array) -> None:
-    """Number by number: slices would take what the compiler is asked to leave out."""
+    """Copy an array element by element, since the compiler does not support slices."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
-@plain
-def _smooth(state: State, period: float) -> bool:
-    """Whether all that rubs slips, and goes on slipping for a sample: no force will jump."""
-    for i in range(len(state.dry)):
-        rubs = state.dry[i]
-        if abs(abs(state.constraint[i]) - rubs) > SLIPS * rubs:
+@compiled_function
+def _has_smooth_forces(state: State, period: float) -> bool:
+    """Test whether all joints with dry friction slip without reversal within a sample.
+
+    A joint slips if MuJoCo's constraint force equals the dry friction within `SLIP_TOLERANCE`. It
+    does not reverse if its speed exceeds `MIN_SPEED_CHANGES` times the change of speed over the
+    sample.
+
+    Args:
+        state: State of the plant.
+        period: Duration of a sample [s].
+    """
+    for i in range(len(state.dry_friction)):
+        friction = state.dry_friction[i]
+        if abs(abs(state.constraint_force[i]) - friction) > SLIP_TOLERANCE * friction:
             return False
-        if rubs and abs(state.velocity[i]) <= TURNS * period * abs(
+        if friction and abs(state.velocity[i]) <= MIN_SPEED_CHANGES * period * abs(
             state.acceleration[i]
         ):
             return False
     return True
 
 
-@plain
-def _to_middle(state: State, step: float) -> None:
-    """The instant amid a step, by Hermite's cubic through its ends; the end is kept."""
+@compiled_function
+def _interpolate_midpoint(state: State, step: float) -> None:
+    """Set the state to the middle of a step by cubic Hermite interpolation.
+
+    `state.saved_state` contains the beginning of the step; on return, it contains the end.
+    """
     for i in range(len(state.position)):
-        q, v = state.kept[0, i], state.kept[1, i]
+        q, v = state.saved_state[0, i], state.saved_state[1, i]
         q_end, v_end = state.position[i], state.velocity[i]
-        state.kept[0, i], state.kept[1, i] = q_end, v_end
+        state.saved_state[0, i], state.saved_state[1, i] = q_end, v_end
         state.position[i] = (q + q_end) / 2 + step / 8 * (v - v_end)
         state.velocity[i] = 1.5 * (q_end - q) / step - (v + v_end) / 4
 
 
-@plain
-def _add(state: State, sensed: Array, lost: Array, weight: float) -> None:
-    """Add what sensors show and what takes from the motors, with a weight."""
-    for i in range(len(sensed)):
-        sensed[i] += weight * state.sensed[i]
-    for i in range(len(lost)):
-        lost[i] += weight * (state.passive[i] + state.constraint[i] + state.pushed[i])
+@compiled_function
+def _accumulate(state: State, sensor_data: Array, losses: Array, weight: float) -> None:
+    """Add weighted sensor data and force losses to the sums over a sample.
+
+    Args:
+        state: State of the plant.
+        sensor_data: Sum of the sensor data, updated.
+        losses: Sum of passive, constraint and applied forces, (nv,) [N m or N], updated.
+        weight: Weight of this instant.
+    """
+    for i in range(len(sensor_data)):
+        sensor_data[i] += weight * state.sensor_data[i]
+    for i in range(len(losses)):
+        losses[i] += weight * (
+            state.passive_force[i] + state.constraint_force[i] + state.applied_force[i]
+        )

@@ -1,4 +1,4 @@
-"""The robot's own controller: computed torque along a sampled reference."""
+"""Simulated robot controller: computed torque along a sampled reference motion."""
 
 from __future__ import annotations
 
@@ -16,70 +16,76 @@ from testbed.core.robot.tree import Tree
 DAMPING = 0.9
 """Damping ratio of the position loop."""
 
-_PERIOD_GRID = 500  # postures of a period at which M is known
-_SMOOTH = 0.05  # speed below which the expected dry friction fades out [rad/s or m/s]
+_PERIOD_GRID = 500  # postures per period at which M is computed
+_SMOOTHING_SPEED = (
+    0.05  # speed over which expected dry friction is smoothed [rad/s or m/s]
+)
 
 
-class Reference(Protocol):
-    """What a drive follows: a path that closes, run through in some time."""
+class ReferenceMotion(Protocol):
+    """Reference motion of the joint controller: a closed path as a function of time."""
 
     @property
     def period(self) -> float:
-        """In which the path closes, where it is run through as it is [s]."""
+        """Duration of one pass of the closed path at nominal speed [s]."""
 
     def at(self, t: Array) -> Motion:
-        """The motion at times t, (M,) [s]; from 0 to one period, along all of the path."""
+        """Motion at times t, (M,) [s]; times 0 to one period cover the whole path."""
 
-    def place(self, t: Array) -> Array:
-        """Where on the path at times t, (M,), as a time of it [s]."""
+    def path_time(self, t: Array) -> Array:
+        """Path parameter at times t: the corresponding time at nominal speed, (M,) [s]."""
 
 
 class Controller(NamedTuple):
-    """A controller along a sampled reference, as machine code takes it.
+    """Sampled computed-torque controller, stored as arrays for compiled code.
 
     Attributes:
-        times: Of the samples, (T,) [s].
-        q: Positions to follow, (T, n) [rad or m].
-        qd: Velocities, (T, n) [rad/s or m/s].
-        expected: Torque expected along them, (T, n) [N m or N].
-        inertia: Mass matrices of the a-priori model, (grid, n, n).
-        posture: Which of them applies to each sample, (T,).
-        bandwidth: Of the position loop [rad/s].
-        effort: Limits of the motors, (n,) [N m or N].
+        times: Times of the samples, (T,) [s].
+        q: Reference positions, (T, n) [rad or m].
+        qd: Reference velocities, (T, n) [rad/s or m/s].
+        feedforward: Feedforward torque of the reference, (T, n) [N m or N].
+        inertia: Mass matrices of the a-priori model on a grid of postures, (grid, n, n).
+        mass_matrix_index: Index of the mass matrix to use at each sample, (T,).
+        bandwidth: Bandwidth of the position loop [rad/s].
+        effort: Torque limits of the motors, (n,) [N m or N].
     """
 
     times: Array
     q: Array
     qd: Array
-    expected: Array
+    feedforward: Array
     inertia: Array
-    posture: NDArray[np.int64]
+    mass_matrix_index: NDArray[np.int64]
     bandwidth: float
     effort: Array
 
 
 def computed_torque(
-    tree: Tree, motion: Reference, times: Array, bandwidth: float
+    tree: Tree, motion: ReferenceMotion, times: Array, bandwidth: float
 ) -> Controller:
-    """A drive that follows a motion along a path that closes.
+    """Computed-torque controller for a reference motion along a closed path.
+
+    The feedforward is the inverse dynamics plus friction and rotor torques, with dry friction
+    smoothed over 0.05 rad/s. Mass matrices, including rotors, are computed at 500 postures along
+    the path.
 
     Args:
-        tree: The drive's own model of the robot and its friction.
-        motion: What to follow.
-        times: Of the samples, (T,) [s].
-        bandwidth: Of the position loop [rad/s].
+        tree: A-priori model of the robot and its friction, used by the controller.
+        motion: Reference motion.
+        times: Times of the samples, (T,) [s].
+        bandwidth: Bandwidth of the position loop [rad/s].
     """
     reference = motion.at(times)
     grid = motion.at(np.linspace(0, motion.period, _PERIOD_GRID, endpoint=False)).q
-    phase = motion.place(times) / motion.period
-    besides = drive_torque(tree, reference.qd, reference.qdd, _SMOOTH)
+    phase = motion.path_time(times) / motion.period
+    drive_torques = drive_torque(tree, reference.qd, reference.qdd, _SMOOTHING_SPEED)
     return Controller(
         times=times,
         q=reference.q,
         qd=reference.qd,
-        expected=joint_forces(tree, reference) + besides,
+        feedforward=joint_forces(tree, reference) + drive_torques,
         inertia=mass_matrices(tree, grid) + np.diag(ROTOR.coefficients(tree)),
-        posture=np.floor((phase - np.floor(phase)) * _PERIOD_GRID).astype(int)
+        mass_matrix_index=np.floor((phase - np.floor(phase)) * _PERIOD_GRID).astype(int)
         % _PERIOD_GRID,
         bandwidth=bandwidth,
         effort=np.array([joint.max_effort for joint in tree.joints]),
@@ -87,16 +93,21 @@ def computed_torque(
 
 
 def mass_matrices(tree: Tree, postures: Array) -> Array:
-    """M(q) of every posture, (k, n, n) [kg m^2, kg m, kg], without rotors.
+    """Mass matrix M(q) at each posture without rotors, (k, n, n) [kg m^2, kg m, kg].
 
     Args:
         tree: The robot.
-        postures: (k, n) [rad or m].
+        postures: Joint positions, (k, n) [rad or m].
     """
     k, n = postures.shape
-    pushes = np.tile(np.eye(n), (k, 1))  # each joint alone, in every posture
-    still = np.zeros((k * n, n))
+    unit_accelerations = np.tile(
+        np.eye(n), (k, 1)
+    )  # one joint at a time, in each posture
+    zero_velocities = np.zeros((k * n, n))
     motion = Motion(
-        np.arange(k * n, dtype=float), postures.repeat(n, axis=0), still, pushes
+        np.arange(k * n, dtype=float),
+        postures.repeat(n, axis=0),
+        zero_velocities,
+        unit_accelerations,
     )
     return joint_forces(tree, motion, gravity=np.zeros(3)).reshape(k, n, n)

@@ -1,8 +1,9 @@
-"""An effect: something in the plant that the plain laws of rigid bodies and dry friction leave out.
+"""Base class of effects: plant dynamics beyond rigid bodies and dry and viscous friction.
 
-An effect is one frozen dataclass that an experiment file asks for, `[[simulation.effect]]`. It
-may act in three ways: on the joints, before every step; on MuJoCo's model, once it has proved to be
-the robot of the model file; and on the robot itself, where what it adds is part of the truth.
+An effect is a frozen dataclass, configured by a table `[[simulation.effect]]` of an experiment
+file. It may act in three ways: as forces on the joints, computed before every step; as a change of
+MuJoCo's model after its check against the model file; as a change of the robot whose parameters
+are true ones.
 """
 
 from __future__ import annotations
@@ -21,49 +22,57 @@ if TYPE_CHECKING:
 
     from testbed.lab.simulation.gear_friction import Gears
 
-StepForces: TypeAlias = Callable[[float, Array, Array, Array], Array]
-"""Forces on the joints besides motors and the model's friction, (n,) [N m or N], of time [s],
-positions, velocities and motor torques, (n,) each, joints in the order of the tree; held over a
-step."""
+ForceFunction: TypeAlias = Callable[[float, Array, Array, Array], Array]
+"""Function for forces on the joints in addition to motors and the model's friction, (n,) [N m
+or N]. Its arguments are time [s], positions, velocities and motor torques, (n,) each, joints
+in the order of the tree; the forces are held over a step."""
 
 
 class Effect(KindTable):
-    """One effect in the plant."""
+    """Effect in the simulated plant that the estimator's model does not contain.
+
+    The methods of this base class do nothing; subclasses override those that apply.
+    """
 
     owns_friction: ClassVar[bool] = False
-    """Whether it takes the place of the joints' own friction, which the plant then has not."""
+    """True if the effect replaces the joints' dry and viscous friction in the plant."""
 
-    def on(self, names: tuple[str, ...]) -> Self:
-        """The same effect on a robot: numbers a joint, in their order.
+    def for_joints(self, names: tuple[str, ...]) -> Self:
+        """Copy of the effect for given joints, with per-joint values in the joints' order.
 
         Args:
             names: Joint names.
 
         Raises:
-            SettingsError: It names a joint that is not there, or not of all.
+            SettingsError: A joint is unknown, or values for some joints are missing.
         """
-        return replace(self, **self.of_joints(names))
+        return replace(self, **self.joint_values(names))
 
-    def robot(self, tree: Tree) -> Tree:
-        """The robot with what the effect adds to it: what is true of it then.
+    def robot_with_effect(self, tree: Tree) -> Tree:
+        """Robot with the true parameters that the effect adds.
 
         Args:
-            tree: The robot as its model file has it.
+            tree: The robot of the model file.
         """
         return tree
 
-    def forces(self, tree: Tree, step: float) -> StepForces | None:
-        """What acts on the joints, asked before every step; None for nothing.
+    def force_function(self, tree: Tree, step: float) -> ForceFunction | None:
+        """Function for the joint forces of the effect, called before every step.
+
+        The result is None if the effect applies no forces.
 
         Args:
             tree: The robot, with its friction.
-            step: Of the integration [s].
+            step: Integration step [s].
         """
         del tree, step
         return None
 
-    def terms(self, tree: Tree) -> Mapping[JointLaw, Array]:
-        """True coefficients that it adds to laws of the joints' torques, (n,) or ().
+    def true_coefficients(self, tree: Tree) -> Mapping[JointLaw, Array]:
+        """True coefficients that the effect adds to joint torque laws.
+
+        They are keyed by law, each (n,) or (). A law is a term of the joint torque, such as Coulomb
+        friction.
 
         Args:
             tree: The robot, with its friction.
@@ -71,8 +80,10 @@ class Effect(KindTable):
         del tree
         return {}
 
-    def gears(self, tree: Tree) -> Gears | None:
-        """Friction of gears that is solved with the motion at every step; None for none.
+    def gear_friction(self, tree: Tree) -> Gears | None:
+        """Load-dependent gear friction, solved together with the accelerations.
+
+        The result is None if the effect has no such friction.
 
         Args:
             tree: The robot, with its friction.
@@ -81,28 +92,28 @@ class Effect(KindTable):
         return None
 
     def temperature(self, time: Array) -> Array | None:
-        """Of the drives, (M, n) or (M, 1) [degC]; None where the effect leaves it open.
+        """Temperature of the drives, (M, n) or (M, 1) [degC]; None if not modelled.
 
         Args:
-            time: (M,) [s].
+            time: Times, (M,) [s].
         """
         del time
         return None
 
-    def equip(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Add what is part of the robot to MuJoCo's model, before that is checked.
+    def add_to_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """Add bodies and joints to MuJoCo's model before it is checked against the robot.
 
         Args:
-            spec: The robot on its plate.
+            spec: MuJoCo's editable model of the robot on its plate.
             tree: The robot, effects included.
-            prefix: Of the joints' names in `spec`.
+            prefix: Prefix of the joints' names in `spec`.
         """
 
-    def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Change MuJoCo's model in a way that the tree does not have, after it was checked.
+    def change_model(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """Change MuJoCo's model after its check, beyond what the robot's tree describes.
 
         Args:
-            spec: The robot on its plate.
+            spec: MuJoCo's editable model of the robot on its plate.
             tree: The robot, effects included.
-            prefix: Of the joints' names in `spec`.
+            prefix: Prefix of the joints' names in `spec`.
         """

@@ -1,4 +1,4 @@
-"""All kinds of effects in the plant, and an effect of the table that an experiment file has."""
+"""Catalogue of effects in the plant, and their construction from tables."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from testbed.lab.simulation.joint_friction import (
     Stribeck,
     WarmingDrives,
 )
-from testbed.sensors.kind_reader import of_table
+from testbed.sensors.kind_reader import value_from_table
 
-KINDS: Mapping[str, type[Effect]] = {
+EFFECT_KINDS: Mapping[str, type[Effect]] = {
     effect.kind: effect
     for effect in (
         Stribeck,
@@ -29,16 +29,16 @@ KINDS: Mapping[str, type[Effect]] = {
         Tilt,
     )
 }
-"""Every effect that an experiment file can ask for, by kind."""
+"""Classes of effects that an experiment file can configure, by kind."""
 
 
-def effect_of(table: object) -> Effect:
-    """An effect of its table.
+def effect_from_table(table: object) -> Effect:
+    """Build an effect from its table in an experiment file.
 
     Args:
-        table: `kind` and the kind's own keys; an effect is returned as it is.
+        table: Table with `kind` and the keys of this kind; an `Effect` is returned unchanged.
 
     Raises:
-        SettingsError: The kind or a key is not known, or a value is none that it takes.
+        SettingsError: The kind or a key is unknown, or a value is not allowed.
     """
-    return of_table(table, "effect", KINDS)
+    return value_from_table(table, "effect", EFFECT_KINDS)

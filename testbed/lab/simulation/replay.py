@@ -1,4 +1,4 @@
-"""How far a model file is from a recorded motion, driven by the recorded torques alone."""
+"""Comparison of a model with a recorded motion, by open-loop simulation of recorded torques."""
 
 from __future__ import annotations
 
@@ -10,86 +10,122 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.formats.mjcf_spec import LINEAR, commands_kept, parse
+from testbed.core.robot.formats.mjcf_spec import (
+    LINEAR_INTERPOLATION,
+    buffered_command_count,
+    parse_mjcf,
+)
 from testbed.core.robot.model_file import ModelFile, model_format
 from testbed.lab.simulation.plant import robot_spec
 
-STEP = 1e-3
-"""Longest step [s]."""
+MAX_STEP = 1e-3
+"""Longest integration step [s]."""
 
-START = 0.1
-"""Time before and after the start over which the first velocities are fitted [s]."""
+START_INTERVAL = 0.1
+"""Duration of the intervals before and after the start, for the fit of initial velocities [s]."""
 
 
-def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Array:
-    """Distance from the recorded positions in MuJoCo, driven open-loop, (M, n) [rad or m].
+def replay_errors(
+    model: ModelFile, recording: Recording, duration: float = 2.0
+) -> Array:
+    """Error of simulated positions under the recorded torques, (M, n) [rad or m].
 
-    Motors have gears and delays of the file's own, one and none where it has none. Between samples
-    the torque is linear in time. Positions and velocities at the start are those of a cubic fit.
+    The error is `simulated - recorded`. The simulation is open-loop and without contacts; it starts
+    `START_INTERVAL` after the beginning of the recording. Motors have the gear ratios and delays of
+    the model file, by default 1 and 0. The torque is interpolated linearly between samples. The
+    initial positions and velocities are those of a cubic polynomial fitted to the positions within
+    `START_INTERVAL` of the start.
 
     Args:
-        model: The model file, and how it is read.
-        recording: With torques, as the drives report them.
-        seconds: How long, or as long as the recording lasts.
+        model: Model file, and the settings used to read it.
+        recording: Recording with the torques that the drives reported.
+        duration: Duration of the simulation, at most to the end of the recording [s].
 
     Raises:
-        RecordingError: It is too short, or has no torques.
+        RecordingError: The recording is too short, or has no torques.
         ModelError: MuJoCo refuses the file.
     """
     tree = model.tree()
     part = recording.ordered(tree)
     time, torque, recorded = part.time, part.measured("torque"), part.position
-    first, fitted, last = np.searchsorted(
-        time, time[0] + [START, 2 * START, START + seconds], side="right"
+    first, fit_end, last = np.searchsorted(
+        time,
+        time[0] + [START_INTERVAL, 2 * START_INTERVAL, START_INTERVAL + duration],
+        side="right",
     )
     last = min(last, len(time) - 1)
-    if last <= fitted:
+    if last <= fit_end:
         raise RecordingError(
-            f"a recording that is replayed lasts more than {2 * START:g} s"
+            f"a recording that is replayed lasts more than {2 * START_INTERVAL:g} s"
         )
     period = float((time[last] - time[first]) / (last - first))
-    steps = int(np.ceil(period / STEP))
-    plant = _plant(model, tree.names, period / steps)
+    steps = int(np.ceil(period / MAX_STEP))
+    plant = _motorised_model(model, tree.names, period / steps)
     data = mujoco.MjData(plant)
-    _recall(plant, data, time - time[first], torque)
-    # each has one position
+    _initialise_delays(plant, data, time - time[first], torque)
+    # each joint has one position and one velocity
     order = [plant.joint(name).dofadr[0] for name in tree.names]
     fit = np.polynomial.polynomial.polyfit(
-        time[:fitted] - time[first], recorded[:fitted], 3
+        time[:fit_end] - time[first], recorded[:fit_end], 3
     )
     data.qpos[order], data.qvel[order] = fit[:2]
     simulated = []
     for k in range(first, last):
         simulated.append(data.qpos[order])
-        for share in (np.arange(steps) + 0.5) / steps:
-            data.ctrl[:] = torque[k] + share * (torque[k + 1] - torque[k])
+        for fraction in (np.arange(steps) + 0.5) / steps:
+            data.ctrl[:] = torque[k] + fraction * (torque[k + 1] - torque[k])
             mujoco.mj_step(plant, data)
     return np.array(simulated) - recorded[first:last]
 
 
-def _recall(
+def _initialise_delays(
     plant: mujoco.MjModel, data: mujoco.MjData, time: Array, torque: Array
 ) -> None:
-    """Give delayed motors the commands from before the start, t = 0."""
-    for late in np.flatnonzero(plant.actuator_delay).tolist():
-        before = plant.opt.timestep * np.arange(-plant.actuator_history[late, 0], 0.0)
-        known = np.interp(before, time, torque[:, late])
-        mujoco.mj_initCtrlHistory(plant, data, late, before[:, None], known[:, None])
+    """Fill the command history of delayed motors with the torques before the start, t = 0.
+
+    Args:
+        plant: Model with motors.
+        data: State of the model, modified.
+        time: Times of the samples from the start of the simulation, (M,) [s].
+        torque: Recorded torques, (M, n) [N m or N]; interpolated linearly.
+    """
+    for actuator in np.flatnonzero(plant.actuator_delay).tolist():
+        history_times = plant.opt.timestep * np.arange(
+            -plant.actuator_history[actuator, 0], 0.0
+        )
+        commands = np.interp(history_times, time, torque[:, actuator])
+        mujoco.mj_initCtrlHistory(
+            plant, data, actuator, history_times[:, None], commands[:, None]
+        )
 
 
-def _plant(model: ModelFile, names: Sequence[str], step: float) -> mujoco.MjModel:
-    """The robot with a motor at each joint, with gear and delay of the file's own."""
+def _motorised_model(
+    model: ModelFile, names: Sequence[str], step: float
+) -> mujoco.MjModel:
+    """Compiled model of a robot with a motor at each joint, without contacts.
+
+    Gear ratio and delay are those of the joint's actuator in an MJCF file, otherwise 1 and 0.
+
+    Args:
+        model: Model file, and the settings used to read it.
+        names: Joint names, in the order of the motors.
+        step: Integration step [s].
+    """
     spec = robot_spec(model)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.timestep = step
-    own = [] if model_format(model.path) == "urdf" else parse(model.path).actuators
-    known = {each.target: (float(each.gear[0]), float(each.delay)) for each in own}
+    actuators = (
+        [] if model_format(model.path) == "urdf" else parse_mjcf(model.path).actuators
+    )
+    gears_and_delays = {
+        each.target: (float(each.gear[0]), float(each.delay)) for each in actuators
+    }
     for name in names:
-        gear, delay = known.get(name, (1.0, 0.0))
+        gear, delay = gears_and_delays.get(name, (1.0, 0.0))
         motor = spec.add_actuator(target=name)
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
         motor.gear = [gear, 0, 0, 0, 0, 0]
-        motor.delay, motor.interp = delay, LINEAR
-        motor.nsample = commands_kept(delay, step)
+        motor.delay, motor.interp = delay, LINEAR_INTERPOLATION
+        motor.nsample = buffered_command_count(delay, step)
     return spec.compile()

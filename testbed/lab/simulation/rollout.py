@@ -1,9 +1,9 @@
-"""Roll out a robot along its motion and log what happens, sample by sample.
+"""Closed-loop simulation of a robot along a motion, logged sample by sample.
 
-What MuJoCo holds after a step is a mixture: sensors belong to the state before it, forces
-to the last stage of the integrator. Every instant that counts is therefore computed anew, under
-the torque and the forces of its own step. Averaged samples are means over the sample of every
-channel alike, the torque held over it; their acceleration is the gain of velocity.
+After a step MuJoCo's arrays hold mixed times: sensor data belong to the state before the step,
+forces to the last stage of the integrator. Every logged instant is therefore computed again, with
+the torque and the forces of its step. Averaged samples are means over the sample for all channels,
+with constant torque; their acceleration is the change of velocity over the sample.
 """
 
 from __future__ import annotations
@@ -19,163 +19,195 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
-from testbed.core.base.stages import Progress, unreported
+from testbed.core.base.stages import Progress, ignore_progress
 from testbed.core.recordings.recording import Truth
-from testbed.core.robot.formats.mjcf_compile import unwarned_steps
+from testbed.core.robot.formats.mjcf_compile import suppress_step_warnings
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.compiled_loop import (
     Clock,
     Engine,
     Log,
     State,
-    follow,
     mujoco_functions,
+    simulate_samples,
 )
-from testbed.lab.simulation.controller import Controller, Reference, computed_torque
-from testbed.lab.simulation.effect import StepForces
+from testbed.lab.simulation.controller import (
+    Controller,
+    ReferenceMotion,
+    computed_torque,
+)
+from testbed.lab.simulation.effect import ForceFunction
 from testbed.lab.simulation.gear_friction import Gears, solve_friction
 from testbed.lab.simulation.plant import Plant
 
-SMOOTH_STEP = 1e-3
-"""Longest step where no joint sticks or turns round [s]."""
+MAX_SMOOTH_STEP = 1e-3
+"""Longest integration step without stick or reversal at any joint [s]."""
 
-SMOOTH_DECAY = 0.2
-"""Part of the shortest time in which damping or a spring acts that such a step may last."""
+MAX_DECAY_FRACTION = 0.2
+"""Longest such step, as a fraction of the shortest time constant of damping and springs."""
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a run is cut into samples.
+    """Sampling of a simulated run.
 
     Attributes:
-        rate: Samples a second, also the controller's rate [Hz].
-        steps: Simulation steps a sample; fewer are taken where no joint sticks or turns round,
-            and no force jumps.
-        averaged: Each sample is the mean over its time (integrate and dump), else its
-            first instant.
-        warm_up: Time run before the recording starts [s].
-        begin: When the recording begins, 0 or earlier [s].
+        rate: Sampling rate, also the controller's rate [Hz].
+        steps: Integration steps per sample; fewer are used where no joint sticks or reverses and no
+            force is discontinuous.
+        averaged: True if a sample is the mean over its duration (integrate and dump), False if it
+            is the value at its first instant.
+        warm_up: Simulated time before the recording starts [s].
+        start_time: Start time of the recording, 0 or earlier [s].
     """
 
     rate: float
     steps: int
     averaged: bool
     warm_up: float
-    begin: float = 0.0
+    start_time: float = 0.0
 
 
 class SampledLoop:
-    """One run, some samples after others."""
+    """Closed-loop simulation of a motion, in blocks of samples."""
 
     def __init__(
         self,
         plant: Plant,
         drive: Controller,
         sampling: Sampling,
-        forces: StepForces | None = None,
+        forces: ForceFunction | None = None,
         gears: Gears | None = None,
     ) -> None:
-        """At the beginning of the reference.
+        """Set the plant to the initial state of the reference.
 
         Args:
             plant: The robot on its bedplate.
-            drive: Its controller.
-            sampling: How the run is cut into samples.
-            forces: Asked before every step.
-            gears: Whose friction is solved before every step.
+            drive: The controller.
+            sampling: Sampling of the run.
+            forces: Function for additional joint forces, called before every step; None for none.
+            gears: Load-dependent gear friction, solved before every step; None for none.
         """
         self._plant, model = plant, plant.model
         self._data = data = mujoco.MjData(model)
-        data.qpos[:] = plant.dofs @ drive.q[0]  # every joint has one position
-        data.qvel[:] = plant.dofs @ drive.qd[0]
+        data.qpos[:] = (
+            plant.velocity_ratios @ drive.q[0]
+        )  # every joint has one position
+        data.qvel[:] = plant.velocity_ratios @ drive.qd[0]
         mujoco.mj_forward(model, data)
         self._rate, period = sampling.rate, 1 / sampling.rate
-        smooth = 0 if forces or gears else _smooth_steps(model, period)
+        smooth = 0 if forces or gears else _smooth_step_count(model, period)
         smooth = smooth if smooth < sampling.steps else 0
         self._smooth_model = copy.copy(model)
         option = self._smooth_model.opt
         option.timestep = period / max(smooth, 1)
-        # friction as it is
+        # keep the friction's time constant at the longer step
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
-        self._push = _Push(forces, gears, plant, data)
+        self._force_callback = _ForceCallback(forces, gears, plant, data)
         self._engine = Engine(
             **mujoco_functions(),
             model=model._address,
             smooth_model=self._smooth_model._address,
             data=data._address,
-            push=self._push.address,
+            force_callback=self._force_callback.address,
         )
         self._state = State(
             position=data.qpos,
             velocity=data.qvel,
             acceleration=data.qacc,
             motor=data.ctrl,
-            pushed=data.qfrc_applied,
-            sensed=data.sensordata,
-            passive=data.qfrc_passive,
-            constraint=data.qfrc_constraint,
-            dry=model.dof_frictionloss,
-            order=plant.order,
-            kept=np.zeros((2, model.nv)),
+            applied_force=data.qfrc_applied,
+            sensor_data=data.sensordata,
+            passive_force=data.qfrc_passive,
+            constraint_force=data.qfrc_constraint,
+            dry_friction=model.dof_frictionloss,
+            order=plant.velocity_index,
+            saved_state=np.zeros((2, model.nv)),
         )
         self._drive = drive
         self._clock = Clock(period, sampling.steps, smooth, sampling.averaged)
 
     def run(self, samples: range) -> Truth:
-        """Follow the next samples of the reference.
+        """Simulate the next samples along the reference, and return the true signals.
+
+        The plant continues from its state after the previous call. An exception in the function for
+        additional forces is raised again.
 
         Args:
-            samples: Their numbers.
+            samples: Sample indices that follow those of the previous call.
         """
-        plant, model, n = self._plant, self._plant.model, len(self._plant.order)
+        plant, model, n = (
+            self._plant,
+            self._plant.model,
+            len(self._plant.velocity_index),
+        )
         torque, velocity, acceleration = np.zeros((3, len(samples), n))
-        sensed, lost = (
+        sensor_data, losses = (
             np.zeros((len(samples), model.nsensordata)),
             np.zeros((len(samples), model.nv)),
         )
-        log = Log(torque, velocity, acceleration, sensed, lost)
-        follow(
+        log = Log(torque, velocity, acceleration, sensor_data, losses)
+        simulate_samples(
             self._engine,
             self._state,
             self._drive,
             self._clock,
             log,
             samples.start,
-            self._push.failed,
+            self._force_callback.failed,
         )
-        self._push.check()
+        self._force_callback.check()
         if self._clock.averaged:
-            later = np.vstack([velocity[1:], self._data.qvel[plant.order]])
-            acceleration = (later - velocity) * self._rate
+            next_velocity = np.vstack(
+                [velocity[1:], self._data.qvel[plant.velocity_index]]
+            )
+            acceleration = (next_velocity - velocity) * self._rate
         return Truth(
-            position=sensed[:, plant.positions],
-            velocity=sensed[:, plant.velocities],
+            position=sensor_data[:, plant.position_index],
+            velocity=sensor_data[:, plant.velocity_sensor_index],
             acceleration=acceleration,
             torque=torque,
-            friction=-lost @ plant.dofs,
-            wrench=plant.X_BS.wrench(sensed[:, plant.plate]),
-            sensors=sensed[:, plant.sensors],
+            friction=-losses @ plant.velocity_ratios,
+            wrench=plant.X_BS.wrench(sensor_data[:, plant.plate_index]),
+            sensors=sensor_data[:, plant.force_sensor_index],
         )
 
 
-def _smooth_steps(model: mujoco.MjModel, period: float) -> int:
-    """Steps that a smooth sample needs, for the fastest of what damps or springs."""
-    loose = model.dof_invweight0
+def _smooth_step_count(model: mujoco.MjModel, period: float) -> int:
+    """Number of integration steps per sample where forces are smooth.
+
+    A step is at most `MAX_SMOOTH_STEP`, and at most `MAX_DECAY_FRACTION` divided by the fastest
+    rate of damping (damping / inertia) or of springs (natural frequency).
+
+    Args:
+        model: MuJoCo's model.
+        period: Duration of a sample [s].
+    """
+    inverse_inertia = model.dof_invweight0
     spring = model.jnt_stiffness[model.dof_jntid]
-    fastest = max(np.max(model.dof_damping * loose), np.sqrt(np.max(spring * loose)))
+    fastest_rate = max(
+        np.max(model.dof_damping * inverse_inertia),
+        np.sqrt(np.max(spring * inverse_inertia)),
+    )
     return int(
         np.ceil(
-            period / min(SMOOTH_STEP, SMOOTH_DECAY / max(fastest, 1e-9)) * (1 - 1e-9)
+            period
+            / min(MAX_SMOOTH_STEP, MAX_DECAY_FRACTION / max(fastest_rate, 1e-9))
+            * (1 - 1e-9)
         )
     )
 
 
-class _Push:
-    """Forces on the joints, as C calls them; an error waits until the loop has ended."""
+class _ForceCallback:
+    """C callback that applies additional forces and gear friction before every step.
+
+    Its address is 0 if there are no such forces. An exception sets `failed`, which stops the
+    compiled loop; `check` raises the exception.
+    """
 
     def __init__(
         self,
-        forces: StepForces | None,
+        forces: ForceFunction | None,
         gears: Gears | None,
         plant: Plant,
         data: mujoco.MjData,
@@ -184,15 +216,15 @@ class _Push:
         self._error: BaseException | None = None
         if forces is None and gears is None:
             return
-        order, applied = plant.order, data.qfrc_applied
-        rub = None if gears is None else _gear_friction(gears, plant, data)
+        order, applied = plant.velocity_index, data.qfrc_applied
+        gear_friction = None if gears is None else _gear_friction(gears, plant, data)
 
         def push(time: float) -> None:
             try:
                 state = data.qpos[order], data.qvel[order], data.ctrl.copy()
                 applied[order] = 0.0 if forces is None else forces(time, *state)
-                if rub is not None:
-                    applied[order] -= rub()
+                if gear_friction is not None:
+                    applied[order] -= gear_friction()
             except BaseException as error:
                 self._error, self.failed[0] = error, True
 
@@ -200,7 +232,7 @@ class _Push:
         self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
 
     def check(self) -> None:
-        """Raise what a push has raised."""
+        """Raise the exception that occurred in the callback, if any."""
         if self._error is not None:
             raise self._error
 
@@ -208,95 +240,115 @@ class _Push:
 def _gear_friction(
     gears: Gears, plant: Plant, data: mujoco.MjData
 ) -> Callable[[], Array]:
-    """What gears take over the next step, beside the forces that act otherwise, (n,)."""
-    model, order = plant.model, plant.order
+    """Function for the gear friction over the next step, (n,) [N m or N].
+
+    Each call solves the equation of `solve_friction` for the other joint forces at MuJoCo's current
+    state, starting from the friction of the previous call.
+
+    Args:
+        gears: Friction coefficients of the gears.
+        plant: The robot on its bedplate.
+        data: MuJoCo's state.
+    """
+    model, order = plant.model, plant.velocity_index
     rotor, friction = model.dof_armature[order].copy(), np.zeros(len(order))
     masses = np.zeros((model.nv, model.nv))
 
-    def taken() -> Array:
+    def solved_friction() -> Array:
         mujoco.mj_fullM(model, data, masses)
-        loose = np.linalg.inv(masses)
+        inverse_mass = np.linalg.inv(masses)
         force = data.qfrc_applied.copy()
         force[order] += data.ctrl
-        free = loose @ (force + data.qfrc_passive - data.qfrc_bias)
-        own = np.ascontiguousarray(loose[np.ix_(order, order)])
-        state = data.qvel[order], free[order], own, force[order], rotor
+        free_acceleration = inverse_mass @ (force + data.qfrc_passive - data.qfrc_bias)
+        joint_inverse_mass = np.ascontiguousarray(inverse_mass[np.ix_(order, order)])
+        state = (
+            data.qvel[order],
+            free_acceleration[order],
+            joint_inverse_mass,
+            force[order],
+            rotor,
+        )
         solve_friction(gears, model.opt.timestep, *state, friction)
         return friction
 
-    return taken
+    return solved_friction
 
 
-_SLAB = 1000
-"""Samples between two reports of progress."""
+_BLOCK_SAMPLES = 1000
+"""Number of samples between two reports of progress."""
 
 
-Watch: TypeAlias = Callable[[Array, Truth], None]
+BlockCallback: TypeAlias = Callable[[Array, Truth], None]
+"""Function that takes the times and true signals of a block of samples."""
 
 
 class SimulationDiverged(TestbedError):
-    """The simulation left the reference or became unstable."""
+    """Error: the simulation departed from the reference or became unstable."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What happened in a simulated run.
+    """Result of a simulated run.
 
     Attributes:
-        time: First instant of each sample, (M,) [s].
-        truth: What happened, sampled.
-        tracking: Rms distance from the reference, (n,) [rad or m].
-        saturated: Share of samples at the effort limit, (n,).
+        time: First instant of each sample, (M,) [s], without the warm-up.
+        truth: Sampled true signals.
+        tracking_error: Rms tracking error of each joint, (n,) [rad or m].
+        saturated_fraction: Fraction of samples at the torque limit of each joint, (n,).
     """
 
     time: Array
     truth: Truth
-    tracking: Array
-    saturated: Array
+    tracking_error: Array
+    saturated_fraction: Array
 
 
 def simulate_motion(
     plant: Plant,
     tree: Tree,
-    motion: Reference,
+    motion: ReferenceMotion,
     duration: float,
     bandwidth: float,
     sampling: Sampling,
-    progress: Progress = unreported,
-    watch: Watch = unreported,
-    forces: StepForces | None = None,
+    progress: Progress = ignore_progress,
+    report_block: BlockCallback = ignore_progress,
+    forces: ForceFunction | None = None,
     gears: Gears | None = None,
 ) -> Rollout:
-    """Follow a motion in closed loop.
+    """Simulate a motion under computed-torque control, in blocks of samples.
 
     Args:
         plant: The robot on its bedplate.
-        tree: The drive's own model of the robot and its friction.
-        motion: The reference.
-        duration: Of the recording, from t = 0 to its end [s].
-        bandwidth: Of the drive [rad/s].
-        sampling: How the run is cut into samples.
-        progress: Called with samples done and samples in all.
-        watch: Called with every second or so of what happens, times before 0 included.
-        forces: Asked before every step; what they take counts as friction. The drive does
-            not know of them.
-        gears: Whose friction is solved before every step, in place of the plant's.
+        tree: A-priori model of the robot and its friction, used by the controller.
+        motion: Reference motion.
+        duration: Duration of the recording from t = 0 [s].
+        bandwidth: Bandwidth of the controller [rad/s].
+        sampling: Sampling of the run.
+        progress: Called with the number of finished samples and of all samples.
+        report_block: Called with blocks of about a second of true signals, including those before t
+            = 0.
+        forces: Function for additional joint forces, called before every step; they are not part of
+            the controller's model, and are recorded as friction with opposite sign.
+        gears: Load-dependent gear friction, solved before every step; it replaces the plant's
+            friction.
 
     Raises:
-        SimulationDiverged: The robot did not follow.
+        SimulationDiverged: The simulation became unstable, or the rms tracking error of a joint is
+            larger than its range of motion.
     """
     lead, samples = (
         round(sampling.warm_up * sampling.rate),
         round(duration * sampling.rate),
     )
     times = (
-        np.arange(round(sampling.begin * sampling.rate) - lead, samples) / sampling.rate
+        np.arange(round(sampling.start_time * sampling.rate) - lead, samples)
+        / sampling.rate
     )
     drive = computed_torque(tree, motion, times, bandwidth)
     loop, logs = SampledLoop(plant, drive, sampling, forces, gears), []
-    for first in range(0, len(times), _SLAB):
-        last = min(first + _SLAB, len(times))
-        with unwarned_steps():  # a state that blows up is found below
+    for first in range(0, len(times), _BLOCK_SAMPLES):
+        last = min(first + _BLOCK_SAMPLES, len(times))
+        with suppress_step_warnings():  # a diverged state is detected below
             logs.append(loop.run(range(first, last)))
         if not all(np.isfinite(values).all() for values in vars(logs[-1]).values()):
             raise SimulationDiverged(
@@ -304,27 +356,40 @@ def simulate_motion(
                 "smaller step or a lower drive bandwidth"
             )
         progress(last, len(times))
-        watch(times[first:last], logs[-1])
-    return _rollout_of(times[lead:], logs, drive, tree)
+        report_block(times[first:last], logs[-1])
+    return _checked_rollout(times[lead:], logs, drive, tree)
 
 
-def _rollout_of(
+def _checked_rollout(
     time: Array, logs: Sequence[Truth], drive: Controller, tree: Tree
 ) -> Rollout:
+    """Rollout of the recorded samples, after a check of the tracking errors.
+
+    Args:
+        time: First instants of the recorded samples, (M,) [s].
+        logs: True signals of the blocks, including the warm-up.
+        drive: The controller.
+        tree: The robot, for joint names.
+
+    Raises:
+        SimulationDiverged: The rms tracking error of a joint is larger than its range of motion.
+    """
     count = len(time)
     whole = {
         k: np.concatenate([vars(log)[k] for log in logs])[-count:]
         for k in vars(logs[0])
     }
-    truth, wanted = Truth(**whole), drive.q[-count:]
-    tracking = np.sqrt(np.mean((truth.position - wanted) ** 2, axis=0))
-    swing = np.ptp(wanted, axis=0)
-    lost = [
-        name for name, e, s in zip(tree.names, tracking, swing, strict=True) if e > s
+    truth, reference = Truth(**whole), drive.q[-count:]
+    tracking = np.sqrt(np.mean((truth.position - reference) ** 2, axis=0))
+    motion_range = np.ptp(reference, axis=0)
+    lost_joints = [
+        name
+        for name, e, s in zip(tree.names, tracking, motion_range, strict=True)
+        if e > s
     ]
-    if lost:
+    if lost_joints:
         raise SimulationDiverged(
-            f"the drive lost the reference at {', '.join(lost)}; lower the motion's limits"
+            f"the drive lost the reference at {', '.join(lost_joints)}; lower the motion's limits"
         )
     at_limit = np.abs(truth.torque) >= drive.effort * (1 - 1e-12)
     return Rollout(time, truth, tracking, at_limit.mean(axis=0))

@@ -1,3 +1,3 @@
-"""Errors of sensors, one a module; `testbed.sensors.catalogue` finds them."""
+"""Sensor errors, one class per module, collected by `testbed.sensors.catalogue`."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Delays of encoders."""
+"""Delay of encoders."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import SIGN, PerJoint
+from testbed.sensors.kind_table import RANDOM_SIGN, PerJoint
 from testbed.sensors.predicted_wrench import PredictedWrench
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.shifted_signals import at_times
+from testbed.sensors.shifted_signals import resampled_signal
 from testbed.sensors.systematic_error import EncoderError
 
 
 @dataclass(frozen=True)
 class EncoderDelay(EncoderError):
-    """Positions that are older than the plate's samples of the same time, joint by joint.
+    """Delay of the positions relative to the plate's samples, with one value per joint.
 
-    Delays that are alike of all joints are those of a plate that is early.
+    Equal delays of all joints are equivalent to plate samples that are early.
 
-    Source    A bus that polls its drives in turn, each a millisecond.
+    Source    A bus that polls its drives one after the other, at intervals of a millisecond.
 
     Attributes:
-        delay: How late a position is; negative if it is early [s].
+        delay: Delay of the positions; negative if they are early [s].
     """
 
     kind: ClassVar[str] = "encoder_delay"
@@ -34,20 +34,25 @@ class EncoderDelay(EncoderError):
     estimated: ClassVar[bool] = False
     contains: ClassVar[tuple[str, ...]] = ("skew",)
     units: ClassVar[tuple[str, str]] = ("s", "s")
-    delay: Annotated[PerJoint, SIGN] = 1e-3
+    delay: Annotated[PerJoint, RANDOM_SIGN] = 1e-3
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Positions of other times, (M, n) [rad or m]; held before the first sample."""
+        """Delayed positions, (M, n) [rad or m]; the first value is held before the first sample."""
         delays = np.broadcast_to(values, signal.shape[1])
-        late = [
-            at_times(q, time, time - delay)
+        delayed = [
+            resampled_signal(q, time, time - delay)
             for q, delay in zip(signal.T, delays, strict=True)
         ]
-        return np.stack(late, axis=1)
+        return np.stack(delayed, axis=1)
 
     @classmethod
-    def columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the wrench in time by each joint's motion, (rows, 6, n)."""
-        each = [predicted.passing(j) for j in range(predicted.tree.n)]
-        return np.concatenate(each, axis=2)
+    def regressor_columns(cls, predicted: PredictedWrench) -> Array:
+        """Derivative of the residual wrench with respect to each joint's delay, (rows, 6, n).
+
+        The result is the time derivative of the wrench due to the motion of the joint alone.
+        """
+        joint_columns = [
+            predicted.joint_time_derivative(j) for j in range(predicted.tree.n)
+        ]
+        return np.concatenate(joint_columns, axis=2)

@@ -9,24 +9,24 @@ import numpy as np
 from annotated_types import Gt
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import PHASE, PerJoint, each_joint
+from testbed.sensors.kind_table import RANDOM_PHASE, PerJoint, joint_array
 from testbed.sensors.sensor_error import StageOrder
 from testbed.sensors.systematic_error import EncoderError
 
 
 @dataclass(frozen=True)
 class EncoderEccentricity(EncoderError):
-    """Eccentric discs: an error that repeats with every turn.
+    """Eccentric encoder discs: a position error that is periodic in the position.
 
-    Shown is q + amplitude sin(2 pi q / period + phase). A sliding joint has the period of its
-    screw's or belt's turn.
+    The reading is q + amplitude sin(2 pi q / period + phase). At a prismatic joint the period is
+    the travel per turn of the screw or belt pulley.
 
-    Source    10 um at a radius of 25 mm, as data sheets of ring encoders allow on mounting.
+    Source    10 um at a radius of 25 mm, the mounting tolerance in data sheets of ring encoders.
 
     Attributes:
-        amplitude: Of the wave [rad or m].
-        period: Of the wave [rad or m].
-        phase: Of the wave at q = 0; drawn if left out [rad].
+        amplitude: Amplitude of the error [rad or m].
+        period: Period of the error in the joint position [rad or m].
+        phase: Phase of the error at q = 0; drawn at random if omitted [rad].
     """
 
     kind: ClassVar[str] = "encoder_eccentricity"
@@ -39,27 +39,27 @@ class EncoderEccentricity(EncoderError):
     units: ClassVar[tuple[str, str]] = ("rad", "rad")
     amplitude: PerJoint = 4e-4
     period: Annotated[PerJoint, Gt(0)] = 2 * np.pi
-    phase: Annotated[PerJoint | None, PHASE] = None
+    phase: Annotated[PerJoint | None, RANDOM_PHASE] = None
 
     @property
     def values(self) -> Array:
-        """Amplitudes of sine and cosine, joint by joint, of errors that repeat with every turn."""
+        """Amplitudes of sine and cosine, joint by joint, for a period of one turn."""
         size, phase = np.broadcast_arrays(
-            each_joint(self.amplitude), each_joint(self.phase or 0.0)
+            joint_array(self.amplitude), joint_array(self.phase or 0.0)
         )
         return np.stack([size * np.cos(phase), size * np.sin(phase)], axis=-1).ravel()
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Positions with the waves of a turn, (M, n) [rad]."""
+        """Positions with sine and cosine of one turn added, (M, n) [rad]."""
         del time
         sine, cosine = values.reshape(-1, 2).T
         return signal + sine * np.sin(signal) + cosine * np.cos(signal)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Positions with a wave of any period, (M, n) [rad or m]."""
+        """Positions with a sine of any period added, (M, n) [rad or m]."""
         del time, rng
-        angle = 2 * np.pi * signal / each_joint(self.period) + each_joint(
+        angle = 2 * np.pi * signal / joint_array(self.period) + joint_array(
             self.phase or 0.0
         )
-        return signal + each_joint(self.amplitude) * np.sin(angle)
+        return signal + joint_array(self.amplitude) * np.sin(angle)

@@ -1,4 +1,4 @@
-"""Wrong scales of encoders."""
+"""Gain errors of encoders."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import SIGN, PerJoint
+from testbed.sensors.kind_table import RANDOM_SIGN, PerJoint
 from testbed.sensors.sensor_error import StageOrder
 from testbed.sensors.systematic_error import EncoderError
 
 
 @dataclass(frozen=True)
 class EncoderGain(EncoderError):
-    """Positions on a wrong scale: a wrong gear ratio or pitch.
+    """Gain error of the positions, caused for example by a wrong gear ratio or pitch.
 
-    Source    A ratio typed with two digits, 1 %.
+    Source    A gear ratio entered with two digits: 1 %.
 
     Attributes:
-        error: Relative; 0.01 shows 1 % too much.
+        error: Relative error; 0.01 means that readings are 1 % too large.
     """
 
     kind: ClassVar[str] = "encoder_gain"
@@ -27,10 +27,10 @@ class EncoderGain(EncoderError):
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     estimated: ClassVar[bool] = False
     units: ClassVar[tuple[str, str]] = ("", "")
-    error: Annotated[PerJoint, SIGN] = 0.01
+    error: Annotated[PerJoint, RANDOM_SIGN] = 0.01
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Positions times one plus the errors, (M, n) [rad or m]."""
+        """Positions multiplied by `1 + error`, (M, n) [rad or m]."""
         del time
         return (1 + values) * signal

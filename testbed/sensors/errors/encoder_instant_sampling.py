@@ -1,4 +1,4 @@
-"""Encoders that are sampled at instants."""
+"""Encoders that are sampled instantaneously instead of averaged."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 @dataclass(frozen=True)
 class EncoderInstantSampling(SensorError):
-    """Positions at the first instant of each sample, while all else is the mean over it.
+    """Positions at the first instant of each sample; other signals are means.
 
-    What a controller's counter does: it latches. Against a plate that averages, positions are
-    half a sampling time early. Exact for smooth motions (`first_instants`).
+    The counter of a controller latches positions in this way. Compared with an averaging plate,
+    positions are half a sampling time early. The computation is exact for smooth motions
+    (`values_at_first_instants`).
 
-    Source    How counters work; no size.
+    Source    Operating principle of counters; the error has no size.
     """
 
     kind: ClassVar[str] = "encoder_instant_sampling"
@@ -26,27 +27,27 @@ class EncoderInstantSampling(SensorError):
     stage: ClassVar[StageOrder] = StageOrder.CLOCK
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Positions at instants, (M, n) [rad or m], of means over samples."""
+        """Positions at the first instants, (M, n) [rad or m], from means over the samples."""
         del rng
-        return first_instants(signal, time)
+        return values_at_first_instants(signal, time)
 
 
-def first_instants(means: Array, time: Array) -> Array:
-    """A signal at the first instant of each sample, from its means over the samples.
+def values_at_first_instants(means: Array, time: Array) -> Array:
+    """Signal at the first instant of each sample, from its means over the samples.
 
-    The means' sum is the signal's integral at the samples' edges, exactly; the spline through
-    it is differentiated there.
+    The cumulative sum of the means is the exact integral of the signal at the boundaries of the
+    samples. A spline through this sum is differentiated.
 
     Args:
-        means: (M, k).
-        time: Of the samples' first instants, uniform, (M,) [s].
+        means: Means over the samples, (M, k).
+        time: First instants of the samples, uniform, (M,) [s].
     """
     from scipy.interpolate import make_interp_spline
 
     step = (time[-1] - time[0]) / (len(time) - 1)
-    middle = means.mean(axis=0)
+    mean = means.mean(axis=0)
     edges = np.append(time, time[-1] + step)
-    sums = np.cumsum(np.vstack([np.zeros_like(middle), means - middle]), axis=0) * step
+    sums = np.cumsum(np.vstack([np.zeros_like(mean), means - mean]), axis=0) * step
     spline = make_interp_spline(edges, sums, k=min(5, len(time)))
-    found: Array = spline.derivative()(time) + middle
-    return found
+    result: Array = spline.derivative()(time) + mean
+    return result

@@ -13,9 +13,9 @@ from testbed.sensors.sensor_error import NoiseError, Signal
 
 @dataclass(frozen=True)
 class EncoderNoise(NoiseError):
-    """White noise on positions, besides that of `measurement.encoder_noise`.
+    """White noise on the positions, in addition to `measurement.encoder_noise`.
 
-    Source    Interpolation noise of encoders of the 16-bit class.
+    Source    Interpolation noise of encoders with a resolution of about 16 bits.
 
     Attributes:
         sigma: Standard deviation [rad or m].

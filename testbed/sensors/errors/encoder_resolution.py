@@ -9,18 +9,18 @@ import numpy as np
 from annotated_types import Ge
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import PerJoint, each_joint
+from testbed.sensors.kind_table import PerJoint, joint_array
 from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 
 @dataclass(frozen=True)
 class EncoderResolution(SensorError):
-    """Positions rounded to the nearest count.
+    """Quantisation of positions: rounding to the nearest count.
 
-    Source    16 bits a turn: 9.6e-5 rad.
+    Source    16 bits per turn: 9.6e-5 rad.
 
     Attributes:
-        count: Least count; 0 for none [rad or m].
+        count: Least count; 0 for no rounding [rad or m].
     """
 
     kind: ClassVar[str] = "encoder_resolution"
@@ -29,8 +29,8 @@ class EncoderResolution(SensorError):
     count: Annotated[PerJoint, Ge(0)] = 1e-4
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Positions in whole counts, (M, n) [rad or m]."""
+        """Positions rounded to whole counts, (M, n) [rad or m]."""
         del time, rng
-        count = each_joint(self.count)
+        count = joint_array(self.count)
         step = np.where(count > 0, count, 1.0)
         return np.where(count > 0, step * np.round(signal / step), signal)

@@ -1,4 +1,4 @@
-"""Tare by a measurement."""
+"""Tare from a measurement."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 @dataclass(frozen=True)
 class MeasuredTare(SensorError):
-    """A tare that is measured, not known: the mean of the plate at rest without the robot.
+    """Measured tare: mean wrench of the plate at rest, without the robot.
 
-    The plate has the errors that it has in the recording (the same bias, the same crosstalk)
-    and other noise. Its zero drifts and wanders in between.
+    The plate has the same systematic errors (bias, crosstalk) as in the recording, but different
+    noise. Its zero drifts and wanders between the tare measurement and the recording.
 
-    Source    Practice: five seconds, a minute before the robot is mounted and moves.
+    Source    Common practice: five seconds, one minute before the robot is mounted and moves.
 
     Attributes:
-        seconds: How long it is measured [s].
-        before: How long before the recording that ends [s].
+        seconds: Duration of the measurement [s].
+        before: Time from the end of the measurement to the start of the recording [s].
     """
 
     kind: ClassVar[str] = "measured_tare"
@@ -33,15 +33,15 @@ class MeasuredTare(SensorError):
     before: Annotated[float, Ge(0)] = 60.0
 
     def instants(self, rate: float) -> Array:
-        """When it is measured, with the recording's first sample at 0 [s].
+        """Instants of the tare measurement, relative to the recording's first sample [s].
 
         Args:
-            rate: Samples a second [Hz].
+            rate: Sampling rate [Hz].
         """
         samples = max(2, round(self.seconds * rate))
         return (np.arange(samples) - samples) / rate - self.before
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The mean, in every row, of what the plate shows at rest, (M, 6) [N, N m]."""
+        """Mean of the plate's readings at rest, repeated in every row, (M, 6) [N, N m]."""
         del time, rng
         return np.broadcast_to(signal.mean(axis=0), signal.shape)

@@ -1,4 +1,4 @@
-"""Low-pass before the plate's converter."""
+"""Anti-aliasing filter of the plate."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
 from testbed.sensors.sensor_error import SensorError, Signal, StageOrder, sampling_time
 
-LEAST_CUTOFF = 1e-5
-"""Of a filter, in sampling rates: below, its coefficients drown in rounding."""
+MIN_RELATIVE_CUTOFF = 1e-5
+"""Smallest cutoff relative to the sampling rate; below it, rounding dominates the coefficients."""
 
 
 @dataclass(frozen=True)
 class PlateAntiAliasFilter(SensorError):
-    """A low-pass before the plate's converter, which the joints' signals do not pass.
+    """Low-pass filter before the plate's converter; joint signals are not filtered.
 
-    A causal Butterworth filter, exact for signals that are straight between samples; it is at
-    rest on the first sample's value. Slow signals it delays by sqrt(2) / (2 pi cutoff) if it
-    is of second order.
+    The causal Butterworth filter is exact for signals that are linear between samples. Its initial
+    state is the steady state for the first sample. A second-order filter delays slow signals by
+    sqrt(2) / (2 pi cutoff).
 
-    Source    Filters of bridge amplifiers in data sheets: second order, a tenth of the rate.
+    Source    Filters of bridge amplifiers in data sheets: second order, a tenth of the sampling
+        rate.
 
     Attributes:
-        cutoff: Where half the power is left [Hz].
-        order: 1 to 8.
+        cutoff: Cutoff frequency, at half the power [Hz].
+        order: Order, 1 to 8.
     """
 
     kind: ClassVar[str] = "plate_anti_alias_filter"
@@ -38,15 +39,22 @@ class PlateAntiAliasFilter(SensorError):
     order: Annotated[int, Ge(1), Le(8)] = 2
 
     def check_rate(self, rate: float) -> None:
-        """Check that the memory of the filter is within rounding."""
-        if self.cutoff < LEAST_CUTOFF * rate:
+        """Check that the cutoff is high enough for small rounding errors of the filter.
+
+        Args:
+            rate: Sampling rate [Hz].
+
+        Raises:
+            SettingsError: The cutoff is below `MIN_RELATIVE_CUTOFF` of the rate.
+        """
+        if self.cutoff < MIN_RELATIVE_CUTOFF * rate:
             raise SettingsError(
                 f"{self.kind}: cutoff = {self.cutoff:g} Hz is too low for a rate of {rate:g} Hz; "
-                f"raise it to {LEAST_CUTOFF * rate:g} Hz or more"
+                f"raise it to {MIN_RELATIVE_CUTOFF * rate:g} Hz or more"
             )
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench behind the filter, (M, 6) [N, N m]."""
+        """Filtered wrench, (M, 6) [N, N m]."""
         from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
         del rng
@@ -54,11 +62,17 @@ class PlateAntiAliasFilter(SensorError):
         poles = butter(self.order, 2 * np.pi * self.cutoff, analog=True, output="zpk")[
             1
         ]
-        for pole in poles[poles.imag > -1e-9 * abs(poles)]:  # of a pair the upper one
-            below = np.poly(
+        for pole in poles[
+            poles.imag > -1e-9 * abs(poles)
+        ]:  # one pole of each conjugate pair
+            denominator = np.poly(
                 [pole, pole.conj()] if pole.imag > 1e-9 * abs(pole) else [pole]
             ).real
-            above, below, _ = cont2discrete((below[-1:], below), step, "foh")
-            rest = lfilter_zi(above[0], below)[:, None] * signal[0]
-            signal = lfilter(above[0], below, signal, axis=0, zi=rest)[0]
+            numerator, denominator, _ = cont2discrete(
+                (denominator[-1:], denominator), step, "foh"
+            )
+            initial_state = lfilter_zi(numerator[0], denominator)[:, None] * signal[0]
+            signal = lfilter(
+                numerator[0], denominator, signal, axis=0, zi=initial_state
+            )[0]
         return signal

@@ -1,4 +1,4 @@
-"""Rate of the plate's clock."""
+"""Rate error of the plate's clock."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from annotated_types import Ge, Le
 
 from testbed.core.base.arrays import Array
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.shifted_signals import at_times
+from testbed.sensors.shifted_signals import resampled_signal
 from testbed.sensors.systematic_error import ClockError, Coefficient
 
 
 @dataclass(frozen=True)
 class PlateClockRate(ClockError):
-    """A plate with a clock of its own that runs too fast: a skew that grows from time 0.
+    """Rate error of the plate's clock: a delay that grows from time 0.
 
     Source    Tolerance of quartz clocks in data sheets: 50 parts in a million.
 
     Attributes:
-        error: Relative; the sample of time t is of t / (1 + error).
+        error: Relative error; the sample with time stamp t is taken at t / (1 + error).
     """
 
     kind: ClassVar[str] = "plate_clock_rate"
@@ -35,11 +35,11 @@ class PlateClockRate(ClockError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench of earlier and earlier times, (M, 6) [N, N m]; held beyond its ends."""
+        """Wrench at times t / (1 + error), (M, 6) [N, N m]; values are held beyond the ends."""
         rate = 1 + float(values[0])
-        return at_times(signal, time, time / rate) if rate != 1 else signal
+        return resampled_signal(signal, time, time / rate) if rate != 1 else signal
 
     @classmethod
-    def lateness(cls, time: Array) -> Array | float:
-        """Time, (M,) [s]."""
+    def delay_derivative(cls, time: Array) -> Array | float:
+        """Derivative of the delay with respect to the rate error: the time, (M,) [s]."""
         return time

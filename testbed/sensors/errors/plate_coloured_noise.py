@@ -15,17 +15,17 @@ from testbed.sensors.sensor_error import AddedWrench, sampling_time
 
 @dataclass(frozen=True)
 class PlateColouredNoise(AddedWrench):
-    """Coloured noise: autoregressive of first order, stationary.
+    """Coloured noise: stationary first-order autoregressive process.
 
-    Its correlation fades as exp(-t / time_constant).
+    The autocorrelation decays as exp(-t / time_constant).
 
-    Source    Our own choice: as much as the white noise of experiments/table6.toml, and slow
-        enough to pass a filter of 5 Hz.
+    Source    Our own choice: the same size as the white noise of experiments/table6.toml, and slow
+        enough to pass a 5 Hz low-pass filter.
 
     Attributes:
         force: Standard deviation of the forces [N].
         moment: Standard deviation of the moments [N m].
-        time_constant: Of the memory [s].
+        time_constant: Correlation time [s].
     """
 
     kind: ClassVar[str] = "plate_coloured_noise"
@@ -34,10 +34,12 @@ class PlateColouredNoise(AddedWrench):
     time_constant: Annotated[float, Gt(0)] = 0.3
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Noise of variance one, (M, 6)."""
+        """Coloured noise of unit variance, (M, 6)."""
         from scipy.signal import lfilter
 
         white = rng.normal(size=signal.shape)
-        kept = np.exp(-sampling_time(time) / self.time_constant)
-        white[1:] *= np.sqrt(1 - kept**2)  # the first sample is as large as all others
-        return np.asarray(lfilter([1.0], [1.0, -kept], white, axis=0))
+        correlation = np.exp(-sampling_time(time) / self.time_constant)
+        white[1:] *= np.sqrt(
+            1 - correlation**2
+        )  # the first sample has the stationary variance
+        return np.asarray(lfilter([1.0], [1.0, -correlation], white, axis=0))

@@ -1,4 +1,4 @@
-"""Quantization of the plate."""
+"""Quantisation of the plate."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from testbed.sensors.sensor_error import FULL_SCALE, SensorError, Signal, StageO
 
 @dataclass(frozen=True)
 class PlateConverter(SensorError):
-    """An analog-to-digital converter: values in whole counts, within its range.
+    """Analog-to-digital converter: rounding to whole counts within the range.
 
-    Its range is `full_scale` of the instrument, to both sides.
+    The range extends from `-full_scale` to `full_scale` of the instrument.
 
-    Source    12 bits, as data acquisition cards had; 16 are common now.
+    Source    12 bits, as in older data acquisition cards; 16 bits are common today.
 
     Attributes:
-        bits: Of a count, 1 to 32.
+        bits: Resolution in bits, 1 to 32.
     """
 
     kind: ClassVar[str] = "plate_converter"
@@ -31,9 +31,11 @@ class PlateConverter(SensorError):
     full_scale: tuple[float, ...] = field(default=FULL_SCALE, repr=False)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench in whole counts, (M, 6) [N, N m]."""
+        """Wrench rounded to whole counts within the range, (M, 6) [N, N m]."""
         del time, rng
-        half = 2 ** (self.bits - 1)
-        count = np.array(self.full_scale) / half
-        counted: Array = count * np.clip(np.round(signal / count), -half, half - 1)
-        return counted
+        half_range = 2 ** (self.bits - 1)
+        count = np.array(self.full_scale) / half_range
+        result: Array = count * np.clip(
+            np.round(signal / count), -half_range, half_range - 1
+        )
+        return result

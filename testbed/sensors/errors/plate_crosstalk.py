@@ -14,31 +14,31 @@ from testbed.sensors.kind_table import Matrix
 from testbed.sensors.sensor_error import FULL_SCALE, StageOrder
 from testbed.sensors.systematic_error import Coefficient, PlateError
 
-MIXED = np.flatnonzero(~np.eye(6, dtype=np.bool_))
-"""Sensitivities of a channel to the load of another."""
+OFF_DIAGONAL = np.flatnonzero(~np.eye(6, dtype=np.bool_))
+"""Indices of the off-diagonal elements (the crosstalk) in a row-major (6, 6) matrix."""
 
 
 @dataclass(frozen=True)
 class PlateCrosstalk(PlateError):
-    """Channels that show some of the others' loads, in proportion to their full scales.
+    """Crosstalk between channels, in proportion to their full scales.
 
-    With D = diag(full scale) shown is (1 + D X D^-1) W. The off-diagonal entries of X are drawn
-    between -size and size, unless `matrix` says what X is.
+    With D = diag(full scale), the reading of a wrench W is (1 + D X D^-1) W. The off-diagonal
+    elements of X are drawn between -size and size, unless X is given by `matrix`.
 
     Source    Crosstalk of six-component plates and sensors in data sheets: 1 to 2 % of full
         scale.
 
     Attributes:
-        size: Largest entry, relative to full scale.
-        matrix: X, six lists of six numbers: row by row, the channel that shows it; its diagonal
-            are errors of the gains.
+        size: Largest element of X, relative to full scale.
+        matrix: Matrix X as six rows of six numbers, one row per reading; its diagonal contains gain
+            errors.
     """
 
     kind: ClassVar[str] = "plate_crosstalk"
     remedy: ClassVar[str] = "calibrate the plate"
     term: ClassVar[str] = "crosstalk"
     fixed: ClassVar[tuple[Coefficient, ...]] = tuple(
-        Coefficient(SENSITIVITIES[k].name, "") for k in MIXED
+        Coefficient(SENSITIVITIES[k].name, "") for k in OFF_DIAGONAL
     )
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     estimated: ClassVar[bool] = False
@@ -48,21 +48,21 @@ class PlateCrosstalk(PlateError):
     matrix: Matrix | None = None
     full_scale: tuple[float, ...] = field(default=FULL_SCALE, repr=False)
 
-    def sample(self, joints: int, rng: np.random.Generator) -> Self:
-        """Copy of the error with a random matrix where none is given."""
+    def with_random_values(self, joints: int, rng: np.random.Generator) -> Self:
+        """Copy of the error with a random matrix if no matrix is given."""
         if self.matrix is not None:
             return self
-        mixed = self.size * rng.uniform(-1, 1, (6, 6)) * (1 - np.eye(6))
-        return replace(self, matrix=mixed.tolist())
+        matrix = self.size * rng.uniform(-1, 1, (6, 6)) * (1 - np.eye(6))
+        return replace(self, matrix=matrix.tolist())
 
     @property
     def values(self) -> Array:
-        """Sensitivities of a channel to the load of another, (30,)."""
-        return np.asarray(self._mixing.ravel()[MIXED])
+        """Sensitivities of each channel to the loads of other channels, (30,)."""
+        return np.asarray(self._mixing_matrix.ravel()[OFF_DIAGONAL])
 
     @property
-    def _mixing(self) -> Array:
-        """D X D^-1, (6, 6)."""
+    def _mixing_matrix(self) -> Array:
+        """Mixing matrix D X D^-1, (6, 6)."""
         scale = np.array(self.full_scale)
         mixing = (
             self.size * (1 - np.eye(6))
@@ -73,18 +73,20 @@ class PlateCrosstalk(PlateError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench with some of every channel in every other, (M, 6) [N, N m]."""
+        """Wrench with crosstalk added, (M, 6) [N, N m]."""
         del time
         mixing = np.zeros(36)
-        mixing[MIXED] = values
+        mixing[OFF_DIAGONAL] = values
         return signal + signal @ mixing.reshape(6, 6).T
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Wrench with the matrix's part added, its diagonal too, (M, 6) [N, N m]."""
+        """Wrench with crosstalk and the matrix's gain errors added, (M, 6) [N, N m]."""
         del time, rng
-        return signal + signal @ self._mixing.T
+        return signal + signal @ self._mixing_matrix.T
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Each channel in each other one, (M, 6, 30)."""
-        return np.asarray(PlateMatrix.derivative(signal, time, neutral)[..., MIXED])
+        """Derivative with respect to the sensitivities to other channels' loads, (M, 6, 30)."""
+        return np.asarray(
+            PlateMatrix.derivative(signal, time, neutral)[..., OFF_DIAGONAL]
+        )

@@ -8,18 +8,22 @@ from typing import ClassVar
 from testbed.core.base.arrays import Array
 from testbed.sensors.predicted_wrench import PredictedWrench
 from testbed.sensors.sensor_error import StageOrder, sampling_time
-from testbed.sensors.shifted_signals import at_times, reach, shifted
+from testbed.sensors.shifted_signals import (
+    edge_samples,
+    resampled_signal,
+    shifted_signal,
+)
 from testbed.sensors.systematic_error import ClockError, Coefficient
 
 
 @dataclass(frozen=True)
 class PlateDelay(ClockError):
-    """Skew: plate samples that are older than the joints' of the same time, by a constant delay.
+    """Constant delay (skew) of the plate's samples relative to the joints' samples.
 
-    Source    Two loggers started by software: one sample at a thousand a second.
+    Source    Two loggers that are started by software: one sample at 1000 samples per second.
 
     Attributes:
-        delay: How late the plate is; negative if it is early [s].
+        delay: Delay of the plate; negative if the plate is early [s].
     """
 
     kind: ClassVar[str] = "plate_delay"
@@ -30,27 +34,27 @@ class PlateDelay(ClockError):
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench of another time, (M, 6) [N, N m]; held before the first sample."""
+        """Delayed wrench, (M, 6) [N, N m]; the first value is held before the first sample."""
         delay = float(values[0])
-        return at_times(signal, time, time - delay) if delay else signal
+        return resampled_signal(signal, time, time - delay) if delay else signal
 
     @classmethod
-    def without(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench of the later samples, (M, 6) [N, N m]."""
-        return shifted(signal, float(values[0]) / sampling_time(time))
+    def corrected_signal(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Wrench advanced by the delay, (M, 6) [N, N m]."""
+        return shifted_signal(signal, float(values[0]) / sampling_time(time))
 
     @classmethod
-    def samples_lost(cls, values: Array, rate: float) -> int:
-        """Samples at either end that a delay leaves without neighbours."""
-        return reach(float(values[0]), rate)
+    def lost_sample_count(cls, values: Array, rate: float) -> int:
+        """Number of samples at each end that lack neighbours for the correction of the delay."""
+        return edge_samples(float(values[0]), rate)
 
     @classmethod
-    def lateness(cls, time: Array) -> Array | float:
-        """One."""
+    def delay_derivative(cls, time: Array) -> Array | float:
+        """Derivative of the delay with respect to its coefficient, which is 1."""
         del time
         return 1.0
 
     @classmethod
-    def measured_columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the measured wrench in time, (rows, 6, 1)."""
-        return -predicted.shown_rate[..., None]
+    def columns_from_measured(cls, predicted: PredictedWrench) -> Array:
+        """Negative time derivative of the measured wrench, (rows, 6, 1)."""
+        return -predicted.measured_wrench_rate[..., None]

@@ -1,4 +1,4 @@
-"""Drift of the plate's zero."""
+"""Linear drift of the plate's zero."""
 
 from __future__ import annotations
 
@@ -8,43 +8,47 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.recordings.columns import PLATE_UNITS
-from testbed.sensors.kind_table import SIGN, PerAxis
+from testbed.core.recordings.columns import WRENCH_UNITS
+from testbed.sensors.kind_table import RANDOM_SIGN, PerAxis
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    PlateError,
+    channel_coefficients,
+)
 
 
 @dataclass(frozen=True)
 class PlateDrift(PlateError):
-    """An error of the zero that grows in proportion to time, from none at time 0.
+    """Zero error that grows linearly with time, starting from zero at time 0.
 
-    Source    Drift of charge amplifiers in data sheets, 0.01 N/s, five times over: one that
-        warms up.
+    Source    Five times the drift of charge amplifiers in data sheets (0.01 N/s), for an amplifier
+        during warm-up.
 
     Attributes:
-        force: Of the forces [N/s].
-        moment: Of the moments [N m/s].
+        force: Drift of the forces [N/s].
+        moment: Drift of the moments [N m/s].
     """
 
     kind: ClassVar[str] = "plate_drift"
     term: ClassVar[str] = "slope"
-    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels(
-        "slope", [f"{unit}/s" for unit in PLATE_UNITS]
+    fixed: ClassVar[tuple[Coefficient, ...]] = channel_coefficients(
+        "slope", [f"{unit}/s" for unit in WRENCH_UNITS]
     )
     stage: ClassVar[StageOrder] = StageOrder.NOISE
-    tested: ClassVar[bool] = False  # slow noise looks alike
+    tested: ClassVar[bool] = False  # slow noise has nearly the same effect
     of_one_recording: ClassVar[bool] = True
     added: ClassVar[bool] = True
-    force: Annotated[PerAxis, SIGN] = 0.05
-    moment: Annotated[PerAxis, SIGN] = 0.01
+    force: Annotated[PerAxis, RANDOM_SIGN] = 0.05
+    moment: Annotated[PerAxis, RANDOM_SIGN] = 0.01
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench plus time times the slopes, (M, 6) [N, N m]."""
+        """Wrench with `time * drift` added, (M, 6) [N, N m]."""
         return signal + time[:, None] * values
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Time times unit matrices, (M, 6, 6) [s]."""
+        """Derivative with respect to the drifts, `time * identity`, (M, 6, 6) [s]."""
         del signal, neutral
         return time[:, None, None] * np.eye(6)

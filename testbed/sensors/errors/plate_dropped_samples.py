@@ -1,4 +1,4 @@
-"""Samples of the plate that are lost."""
+"""Lost samples of the plate."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 @dataclass(frozen=True)
 class PlateDroppedSamples(SensorError):
-    """Samples that are lost on the way, and the ones before them repeated.
+    """Samples that are lost in transmission and replaced by the previous sample.
 
     Source    A bus without retransmission: one sample in a thousand.
 
     Attributes:
-        share: Of the samples, each lost by chance.
+        share: Fraction of the samples that are lost, independently at random.
     """
 
     kind: ClassVar[str] = "plate_dropped_samples"
@@ -28,7 +28,7 @@ class PlateDroppedSamples(SensorError):
     share: Annotated[float, Ge(0), Le(1)] = 1e-3
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench with samples repeated, (M, 6) [N, N m]."""
+        """Wrench with lost samples replaced by the previous sample, (M, 6) [N, N m]."""
         del time
         lost = rng.random(len(signal)) < self.share
         last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(signal))))

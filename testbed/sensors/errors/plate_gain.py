@@ -1,4 +1,4 @@
-"""Wrong gains of the plate."""
+"""Gain errors of the plate."""
 
 from __future__ import annotations
 
@@ -6,30 +6,34 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import SIGN, PerChannel
+from testbed.sensors.kind_table import RANDOM_SIGN, PerChannel
 from testbed.sensors.sensor_error import StageOrder
-from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    PlateError,
+    channel_coefficients,
+)
 
 
 @dataclass(frozen=True)
 class PlateGain(PlateError):
-    """Channels on wrong scales.
+    """Gain errors of the plate's channels.
 
     Source    Accuracy of force plates and six-axis sensors in data sheets: 0.5 %.
 
     Attributes:
-        error: Relative; 0.005 shows 0.5 % too much.
+        error: Relative error; 0.005 means that readings are 0.5 % too large.
     """
 
     kind: ClassVar[str] = "plate_gain"
     remedy: ClassVar[str] = "calibrate the plate"
     term: ClassVar[str] = "gains"
-    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("gains", [""] * 6)
+    fixed: ClassVar[tuple[Coefficient, ...]] = channel_coefficients("gains", [""] * 6)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
-    error: Annotated[PerChannel, SIGN] = 0.005
+    error: Annotated[PerChannel, RANDOM_SIGN] = 0.005
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Channels times one plus their errors, (M, 6) [N, N m]."""
+        """Channels multiplied by `1 + error`, (M, 6) [N, N m]."""
         del time
         return (1 + values) * signal

@@ -15,9 +15,10 @@ from testbed.sensors.sensor_error import AddedWrench
 
 @dataclass(frozen=True)
 class PlateNoise(AddedWrench):
-    """White noise on the plate's channels, besides that of `measurement.force_noise`.
+    """White noise on the plate's channels, in addition to `measurement.force_noise`.
 
-    Source    Our own choice: the noise of experiments/table6.toml, of a plate for 1 kN.
+    Source    Our own choice: the noise in experiments/table6.toml, for a plate with a range of
+        1 kN.
 
     Attributes:
         force: Standard deviation of the forces [N].
@@ -29,6 +30,6 @@ class PlateNoise(AddedWrench):
     moment: Annotated[PerAxis, Ge(0)] = 0.1
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Noise of variance one, (M, 6)."""
+        """White noise of unit variance, (M, 6)."""
         del time
         return rng.normal(size=signal.shape)

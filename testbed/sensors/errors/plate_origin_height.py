@@ -1,4 +1,4 @@
-"""Height of the plate's origin."""
+"""Error in the height of the plate's origin."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from testbed.sensors.systematic_error import Coefficient, PlateError
 
 @dataclass(frozen=True)
 class PlateOriginHeight(PlateError):
-    """An origin of the plate's moments that lies higher than the bedplate's.
+    """Height of the origin of the plate's moments above the origin of the bedplate.
 
-    Source    Force plates state moments about a point some centimetres below their surface.
+    Source    Force plates output moments about a point some centimetres below their surface.
 
     Attributes:
-        height: Of the plate's origin above the bedplate's [m].
+        height: Height of the plate's origin above the bedplate's origin [m].
     """
 
     kind: ClassVar[str] = "plate_origin_height"
     term: ClassVar[str] = "height"
     fixed: ClassVar[tuple[Coefficient, ...]] = (Coefficient("height", "m"),)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
-    tested: ClassVar[bool] = False  # the pose is
+    tested: ClassVar[bool] = False  # the pose is tested instead
     height: float = 0.02
 
     @classmethod

@@ -15,14 +15,14 @@ from testbed.sensors.sensor_error import AddedWrench, sampling_time
 
 @dataclass(frozen=True)
 class PlatePinkNoise(AddedWrench):
-    """Pink noise: of density 1/f, as of amplifiers at low frequencies, and level below `lowest`.
+    """Pink noise, with a spectral density of 1/f as in amplifiers; constant below `lowest`.
 
-    Source    Our own choice: as much as the white noise of experiments/table6.toml.
+    Source    Our own choice: the same size as the white noise of experiments/table6.toml.
 
     Attributes:
         force: Standard deviation of the forces [N].
         moment: Standard deviation of the moments [N m].
-        lowest: Frequency below which the density grows no more [Hz].
+        lowest: Frequency below which the spectral density is constant [Hz].
     """
 
     kind: ClassVar[str] = "plate_pink_noise"
@@ -31,14 +31,14 @@ class PlatePinkNoise(AddedWrench):
     lowest: Annotated[float, Gt(0)] = 0.01
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Noise of variance one, (M, 6)."""
+        """Pink noise of unit variance, (M, 6), shaped in the frequency domain."""
         samples, step = len(signal), sampling_time(time)
-        around = 2 * samples  # so that the end forgets the start
-        frequency = np.maximum(np.fft.rfftfreq(around, step), self.lowest)
+        length = 2 * samples  # avoids periodicity: the end is independent of the start
+        frequency = np.maximum(np.fft.rfftfreq(length, step), self.lowest)
         density = 1 / frequency
-        # of a real signal the inner lines of the spectrum count twice
-        twice = np.full(len(density), 2.0)
-        twice[[0, -1]] = 1.0
-        density *= around / (twice @ density)
-        white = np.fft.rfft(rng.normal(size=(around, signal.shape[1])), axis=0)
-        return np.fft.irfft(np.sqrt(density)[:, None] * white, around, axis=0)[:samples]
+        # inner lines of a real signal's spectrum have weight two
+        line_weights = np.full(len(density), 2.0)
+        line_weights[[0, -1]] = 1.0
+        density *= length / (line_weights @ density)
+        white = np.fft.rfft(rng.normal(size=(length, signal.shape[1])), axis=0)
+        return np.fft.irfft(np.sqrt(density)[:, None] * white, length, axis=0)[:samples]

@@ -1,4 +1,4 @@
-"""Pose of the plate."""
+"""Pose error of the plate."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
-from testbed.core.robot.rotations import from_vector
-from testbed.sensors.kind_table import SIGN, PerAxis
+from testbed.core.robot.rotations import rotvec_to_matrix
+from testbed.sensors.kind_table import RANDOM_SIGN, PerAxis
 from testbed.sensors.sensor_error import StageOrder
 from testbed.sensors.systematic_error import Coefficient, PlateError
 
 
 @dataclass(frozen=True)
 class PlatePose(PlateError):
-    """A plate that is turned and shifted against the bedplate frame.
+    """Rotation and translation of the plate relative to the bedplate frame.
 
-    The plate's frame has the origin p and the axes R, both in the bedplate frame; it shows
-    R^T F and R^T (M - p x F), of robot and tare alike.
+    The frame of the plate has the origin p and the axes R, both in the bedplate frame. The reading
+    is R^T F and R^T (M - p x F), for the robot as well as for the tare.
 
     Source    Alignment with square and ruler: 0.2 degrees, 1 mm.
 
     Attributes:
-        rotation: Vector of the rotation R [rad].
-        translation: p [m].
+        rotation: Rotation vector of R [rad].
+        translation: Translation p [m].
     """
 
     kind: ClassVar[str] = "plate_pose"
@@ -37,26 +37,29 @@ class PlatePose(PlateError):
         for axis in "xyz"
     )
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
-    rotation: Annotated[PerAxis, SIGN] = 3.5e-3
-    translation: Annotated[PerAxis, SIGN] = 1e-3
+    rotation: Annotated[PerAxis, RANDOM_SIGN] = 3.5e-3
+    translation: Annotated[PerAxis, RANDOM_SIGN] = 1e-3
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench in the plate's frame P, of one in the bedplate's B, (M, 6) [N, N m]."""
+        """Wrench in the plate frame P, from that in the bedplate frame B, (M, 6) [N, N m]."""
         del time
-        X_BP = Transform(from_vector(values[:3]), values[3:])
+        X_BP = Transform(rotvec_to_matrix(values[:3]), values[3:])
         return np.asarray(X_BP.inverse.wrench(signal))
 
     @classmethod
-    def without(cls, signal: Array, time: Array, values: Array) -> Array:
-        """Wrench in the bedplate's frame B, of one in the plate's P, (M, 6) [N, N m]."""
+    def corrected_signal(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Wrench in the bedplate frame B, from that in the plate frame P, (M, 6) [N, N m]."""
         del time
-        X_BP = Transform(from_vector(values[:3]), values[3:])
+        X_BP = Transform(rotvec_to_matrix(values[:3]), values[3:])
         return np.asarray(X_BP.wrench(signal))
 
     @classmethod
     def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
-        """Cross products of the axes with force and moment, (M, 6, 6)."""
+        """Derivative with respect to rotation and translation, at zero, (M, 6, 6).
+
+        The columns are cross products of force and moment with the axes.
+        """
         del time, neutral
         force, moment = signal[:, :3], signal[:, 3:]
         columns = np.zeros((len(signal), 6, 6))

@@ -15,13 +15,13 @@ from testbed.sensors.sensor_error import AddedWrench
 
 @dataclass(frozen=True)
 class PlateRandomWalk(AddedWrench):
-    """An error of the zero that wanders at random, from none at time 0.
+    """Random walk of the plate's zero, starting from zero at time 0.
 
-    Source    Our own choice: after a second it is where the drift of 0.05 N/s would be.
+    Source    Our own choice: after one second, as large as a drift of 0.05 N/s.
 
     Attributes:
-        force: Standard deviation of the forces after a second [N/sqrt(s)].
-        moment: Standard deviation of the moments after a second [N m/sqrt(s)].
+        force: Standard deviation of the forces after one second [N/sqrt(s)].
+        moment: Standard deviation of the moments after one second [N m/sqrt(s)].
     """
 
     kind: ClassVar[str] = "plate_random_walk"
@@ -29,6 +29,6 @@ class PlateRandomWalk(AddedWrench):
     moment: Annotated[PerAxis, Ge(0)] = 0.01
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Random walk of variance one a second, (M, 6) [sqrt(s)]."""
-        spread = np.sqrt(np.append(abs(time[0]), np.diff(time)))
-        return np.cumsum(spread[:, None] * rng.normal(size=signal.shape), axis=0)
+        """Random walk of unit variance per second, (M, 6) [sqrt(s)]."""
+        step_sigma = np.sqrt(np.append(abs(time[0]), np.diff(time)))
+        return np.cumsum(step_sigma[:, None] * rng.normal(size=signal.shape), axis=0)

@@ -15,15 +15,15 @@ from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 @dataclass(frozen=True)
 class PlateSaturation(SensorError):
-    """Saturation: a range too small for the motion, at whose ends channels stop.
+    """Saturation: channels clipped to a range smaller than the motion's range.
 
-    The range covers a share of each channel's swing in this recording, around its middle:
-    amplifiers are set to zero with the robot on the plate.
+    The range is a fraction of each channel's range in this recording, centred on the middle of that
+    range, because amplifiers are set to zero with the robot on the plate.
 
-    Source    A range chosen for nine tenths of the motion.
+    Source    A range that was chosen for nine tenths of the range of the motion.
 
     Attributes:
-        covered: Share of the swing between least and greatest value.
+        covered: Fraction of the range between smallest and largest value.
     """
 
     kind: ClassVar[str] = "plate_saturation"
@@ -32,8 +32,8 @@ class PlateSaturation(SensorError):
     covered: Annotated[PerChannel, Ge(0)] = 0.9
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench within the range, (M, 6) [N, N m]."""
+        """Wrench clipped to the range, (M, 6) [N, N m]."""
         del time, rng
         low, high = signal.min(axis=0), signal.max(axis=0)
-        cut = (1 - np.asarray(self.covered)) * (high - low) / 2
-        return np.clip(signal, low + cut, high - cut)
+        margin = (1 - np.asarray(self.covered)) * (high - low) / 2
+        return np.clip(signal, low + margin, high - margin)

@@ -1,4 +1,4 @@
-"""Constant of the plate beyond its tare."""
+"""Constant error of the plate's tare."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from typing import ClassVar
 
 from testbed.core.robot.tree import Tree
 from testbed.sensors.errors.plate_bias import PlateBias
-from testbed.sensors.systematic_error import Coefficient, of_channels
+from testbed.sensors.systematic_error import Coefficient, channel_coefficients
 
 
 @dataclass(frozen=True)
 class PlateTare(PlateBias):
-    """A constant wrench beyond the stated tare, of all recordings with the pedestal.
+    """Constant wrench in addition to the stated tare, in all recordings with the pedestal.
 
-    To a plate that does not move it is the same as a bias.
+    For a plate that does not move, this error is equivalent to a bias.
 
-    Source    Our own choice: as much as the bias.
+    Source    Our own choice: the same size as the bias.
 
     Attributes:
-        force: What the forces show too much [N].
-        moment: What the moments show too much [N m].
+        force: Additional force [N].
+        moment: Additional moment [N m].
     """
 
     kind: ClassVar[str] = "plate_tare"
     term: ClassVar[str] = "tare"
-    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("tare")
+    fixed: ClassVar[tuple[Coefficient, ...]] = channel_coefficients("tare")
     of_one_recording: ClassVar[bool] = False
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
-        """Constants of the channels, (6,)."""
+        """Coefficients of the constant wrench, one per channel of the plate, (6,)."""
         del tree
         return cls.fixed

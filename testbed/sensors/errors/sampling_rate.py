@@ -1,4 +1,4 @@
-"""Wrong sampling rate."""
+"""Error of the sampling rate."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from testbed.sensors.systematic_error import Coefficient, SystematicError
 
 
 class SamplingRate(SystematicError):
-    """Time between samples that is not what their stamps say: velocities are too large."""
+    """Relative error of the sampling time in the time stamps, which scales all velocities."""
 
     kind: ClassVar[str] = "sampling_rate"
     remedy: ClassVar[str] = "count the samples of a known time, and look for lost ones"
@@ -24,11 +24,15 @@ class SamplingRate(SystematicError):
     estimated: ClassVar[bool] = False
 
     @classmethod
-    def columns(cls, predicted: PredictedWrench) -> Array:
-        """Derivative of the wrench by velocities and twice the accelerations, (rows, 6, 1)."""
+    def regressor_columns(cls, predicted: PredictedWrench) -> Array:
+        """Derivative of the residual wrench with respect to the rate error, (rows, 6, 1).
+
+        The relative change of the velocities is the error, that of the accelerations twice the
+        error.
+        """
         qd, qdd = predicted.motion.qd, predicted.motion.qdd
-        each = (
-            predicted.along(j, 0.0, qd[:, j], 2 * qdd[:, j])
+        derivatives = (
+            predicted.coordinate_derivative(j, 0.0, qd[:, j], 2 * qdd[:, j])
             for j in range(predicted.tree.n)
         )
-        return predicted.rows(-np.sum([*each], axis=0)[..., None])
+        return predicted.filter_signals(-np.sum([*derivatives], axis=0)[..., None])

@@ -13,7 +13,7 @@ from testbed.sensors.sensor_error import NoiseError, Signal
 
 @dataclass(frozen=True)
 class TorqueNoise(NoiseError):
-    """White noise on the reported torques, besides that of `measurement.torque_noise`.
+    """White noise on the reported torques, in addition to `measurement.torque_noise`.
 
     Source    Noise of current sensors in data sheets: 0.5 % of their range.
 

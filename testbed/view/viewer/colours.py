@@ -1,4 +1,4 @@
-"""Colours that mean the same in every picture; distinguished also by the colour-blind."""
+"""Colours with the same meaning in all pictures, suitable for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from numpy.typing import NDArray
 
 COLOURS = {
     "measured": 0x8C96A5FF,
-    "external": 0x0072B2FF,
-    "internal": 0xD55E00FF,
+    "wrench": 0x0072B2FF,
+    "torque": 0xD55E00FF,
     "force": 0xD92621FF,
     "moment": 0x1854D9FF,
     "pressure": 0xF0B428FF,
     "path": 0x009E73FF,
     "axis": 0x6E7682FF,
 }
-"""Red, green, blue and opacity, a byte each."""
+"""Colours by meaning: red, green, blue and opacity, one byte each."""
 
-SERIES = np.array(
+CURVE_COLOURS = np.array(
     [
         0x0072B2FF,
         0xD55E00FF,
@@ -29,8 +29,13 @@ SERIES = np.array(
     ],
     np.uint32,
 )
+"""Colours of curves without a fixed meaning."""
 
 
 def palette(n: int) -> NDArray[np.uint32]:
-    """One a curve; they repeat after seven."""
-    return np.resize(SERIES, n)
+    """Colours of n curves, (n,), repeated after seven.
+
+    Args:
+        n: Number of curves.
+    """
+    return np.resize(CURVE_COLOURS, n)

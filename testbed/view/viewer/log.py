@@ -1,4 +1,4 @@
-"""Runs and motions as Rerun's viewer takes them: everything in columns, nothing by sample."""
+"""Rerun recordings of runs and motions, logged by columns instead of samples."""
 
 from __future__ import annotations
 
@@ -15,72 +15,91 @@ from testbed.bodies.shapes.appearance import Appearance
 from testbed.bodies.shapes.shapes import Shape
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
-from testbed.core.base.errors import plural
-from testbed.core.base.whole_files import write_whole
+from testbed.core.base.errors import count_with_noun
+from testbed.core.base.whole_files import write_atomically
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
 from testbed.core.recordings.recording import Recording
-from testbed.lab.experiment.predict import run_of
+from testbed.lab.experiment.predict import run_from_estimates
 from testbed.lab.experiment.results import read_run
 from testbed.lab.experiment.run import Run
 from testbed.motion.fourier import Fourier
-from testbed.motion.proof import Proof, Rules, Slack, slack
+from testbed.motion.proof import MotionConstraints, Proof, Slack, slack_by_kind
 from testbed.view.motion import margin_table
-from testbed.view.viewer.blueprint import RATES, blueprint, motion_blueprint
+from testbed.view.viewer.blueprint import (
+    MOTION_QUANTITIES,
+    motion_blueprint,
+    runs_blueprint,
+)
 from testbed.view.viewer.colours import COLOURS
 from testbed.view.viewer.curves import log_residuals, log_series, log_signals
 from testbed.view.viewer.live import start_viewer
 from testbed.view.viewer.robot_drawing import (
     log_appearance,
-    log_bodies,
-    log_paths,
-    log_reaction,
+    log_ellipsoids,
     log_robot,
+    log_tip_paths,
+    log_wrench,
     send_poses,
 )
-from testbed.view.viewer.scene import POSES, Scene, plain, root, safe, scene_of, span_of
+from testbed.view.viewer.scene import (
+    POSE_RATE,
+    Scene,
+    build_scene,
+    escaped_markdown,
+    escaped_path_part,
+    max_distance_from_origin,
+    run_entity_path,
+)
 
 
 def write_motion_rrd(
     path: Path,
     motion: Fourier,
-    rules: Rules,
+    rules: MotionConstraints,
     proof: Proof,
-    look: Appearance,
+    appearance: Appearance,
     obstacles: tuple[Shape, ...] = (),
 ) -> None:
-    """Write one period of a motion: robot, paths of its tips, boxes around it, slack of limits.
+    """Write one period of a motion as a Rerun recording.
+
+    Logged are the robot, the paths of its tips, obstacles, joint curves, margins to limits and
+    notes.
 
     Args:
-        path: The .rrd file; appears whole or not at all.
+        path: The .rrd file; it is written completely or not at all.
         motion: The motion.
-        rules: What it must respect.
-        proof: What it is proven to leave.
-        look: What the robot looks like.
-        obstacles: Boxes of its cell.
+        rules: Limits of the motion.
+        proof: Proven margins to the limits.
+        appearance: Shapes of the robot.
+        obstacles: Boxes in the robot's workspace.
     """
     tree = rules.tree
-    times = np.linspace(0, motion.period, max(2, round(POSES * motion.period)) + 1)
-    left = slack(motion, rules, times)
-    kinds = [f"{kind.label} [{kind.unit}]" for kind in left]
+    times = np.linspace(0, motion.period, max(2, round(POSE_RATE * motion.period)) + 1)
+    margins = slack_by_kind(motion, rules, times)
+    kinds = [f"{kind.label} [{kind.unit}]" for kind in margins]
     postures = motion.at(times).q
-    size = span_of(look, postures)
-    with _written(
+    size = max_distance_from_origin(appearance, postures)
+    with _recording_stream(
         path, motion_blueprint(path.stem, tree, size, kinds, motion.period)
     ) as stream:
-        log_appearance(stream, look, "/world")
-        log_paths(
-            stream, look, send_poses(stream, look, times, postures, "/world"), "/world"
+        log_appearance(stream, appearance, "/world")
+        log_tip_paths(
+            stream,
+            appearance,
+            send_poses(stream, appearance, times, postures, "/world"),
+            "/world",
         )
         _log_obstacles(stream, obstacles)
-        _log_curves(stream, rules, motion, times, left)
+        _log_motion_curves(stream, rules, motion, times, margins)
         notes = rr.TextDocument(
-            _notes(path.stem, rules, proof), media_type=rr.MediaType.MARKDOWN
+            _motion_notes(path.stem, rules, proof), media_type=rr.MediaType.MARKDOWN
         )
         stream.log("/notes", notes, static=True)
 
 
 def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Shape, ...]) -> None:
+    """Log the obstacles as boxes along the world axes, at "/world/obstacles"."""
     if not obstacles:
         return
     boxes = rr.Boxes3D(
@@ -91,119 +110,141 @@ def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Shape, ...]) -> 
     stream.log("/world/obstacles", boxes, static=True)
 
 
-def _log_curves(
+def _log_motion_curves(
     stream: rr.RecordingStream,
-    rules: Rules,
+    rules: MotionConstraints,
     motion: Fourier,
     times: Array,
-    left: list[Slack],
+    margins: list[Slack],
 ) -> None:
-    for k, kind in enumerate(left):
+    """Log margins to limits, and joint positions, velocities and accelerations over time.
+
+    Args:
+        stream: Stream of the recording.
+        rules: Limits of the motion.
+        motion: The motion.
+        times: Instants, (M,) [s].
+        margins: Smallest margin over time, one per kind of limit.
+    """
+    for k, kind in enumerate(margins):
         log_series(
-            stream, f"/left/{k}", times, {kind.label: kind.left}, [COLOURS["external"]]
+            stream, f"/left/{k}", times, {kind.label: kind.left}, [COLOURS["wrench"]]
         )
-    for order, rate in enumerate(RATES):
+    for order, quantity in enumerate(MOTION_QUANTITIES):
         for name, values in zip(
             rules.tree.names, motion.derivative(times, order).T, strict=True
         ):
-            path = f"/{rate}/{safe(name)}"
-            log_series(stream, path, times, {rate: values}, [COLOURS["external"]])
+            path = f"/{quantity}/{escaped_path_part(name)}"
+            log_series(stream, path, times, {quantity: values}, [COLOURS["wrench"]])
 
 
-def _notes(name: str, rules: Rules, proof: Proof) -> str:
-    said = (
+def _motion_notes(name: str, rules: MotionConstraints, proof: Proof) -> str:
+    """Markdown notes of a motion: result of the proof, table of margins, diagnostics."""
+    verdict = (
         "Proven at every moment."
-        if proof.holds
-        else f"**Not proven:** {plain(proof.worst.words)}"
+        if proof.is_valid
+        else f"**Not proven:** {escaped_markdown(proof.smallest_margin.words)}"
     )
-    lines = [f"# {plain(name)}", f"{plural(len(proof.margins), 'limit')}. {said}"]
+    lines = [
+        f"# {escaped_markdown(name)}",
+        f"{count_with_noun(len(proof.margins), 'limit')}. {verdict}",
+    ]
     lines.append(margin_table(proof.margins).markdown)
     if rules.diagnostics:
-        known = sentences(rules.diagnostics)
-        lines += ["## Notes", "\n".join(f"- {plain(line)}" for line in known)]
+        diagnostic_lines = sentences(rules.diagnostics)
+        lines += [
+            "## Notes",
+            "\n".join(f"- {escaped_markdown(line)}" for line in diagnostic_lines),
+        ]
     return "\n\n".join(lines)
 
 
-def write_rrd(scenes: Sequence[Scene], path: Path) -> None:
-    """Write runs as one Rerun recording, with a blueprint for a first look.
+def write_runs_rrd(scenes: Sequence[Scene], path: Path) -> None:
+    """Write runs as one Rerun recording with an initial layout of the viewer.
 
     Args:
-        scenes: One run, or several to be shown side by side.
-        path: The .rrd file; appears whole or not at all.
+        scenes: Runs, displayed side by side.
+        path: The .rrd file; it is written completely or not at all.
     """
-    with _written(path, blueprint(scenes)) as stream:
+    with _recording_stream(path, runs_blueprint(scenes)) as stream:
         for k, scene in enumerate(scenes):
-            log_scene(stream, scene, root(k, len(scenes)))
+            log_scene(stream, scene, run_entity_path(k, len(scenes)))
 
 
 @contextmanager
-def _written(path: Path, arranged: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """A stream in memory that is written to a file; Rerun's own writer hangs on a full disk.
+def _recording_stream(
+    path: Path, layout: rrb.Blueprint
+) -> Iterator[rr.RecordingStream]:
+    """Context manager for a stream in memory, which is written to a file on exit.
+
+    If an error occurs in the block, no file is written. Rerun's own file writer is not used, since
+    it blocks when the disk is full.
 
     Args:
-        path: The .rrd file; appears whole or not at all.
-        arranged: Blueprint for a first look.
+        path: The .rrd file; it is written completely or not at all.
+        layout: Initial layout of the viewer.
     """
     stream = rr.RecordingStream(
         "testbed", recording_id=path.stem, send_properties=False
     )
     memory = stream.memory_recording()
-    stream.send_blueprint(arranged, make_active=False)
+    stream.send_blueprint(layout, make_active=False)
     yield stream
-    write_whole(path, memory.drain_as_bytes())
+    write_atomically(path, memory.drain_as_bytes())
 
 
-def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
-    """Log everything there is to see of a run.
+def log_scene(stream: rr.RecordingStream, scene: Scene, parent: str = "") -> None:
+    """Log robot, bodies, wrench, signals, residuals and notes of a run.
 
     Args:
-        stream: Where to.
+        stream: Stream of the recording.
         scene: The run.
-        at: Its root among the entities.
+        parent: Entity path of the run.
     """
-    log_robot(stream, scene, f"{at}/world")
-    log_bodies(stream, scene, f"{at}/world")
-    log_reaction(stream, scene, f"{at}/world/bedplate")
-    log_signals(stream, scene, at)
-    log_residuals(stream, scene, at)
+    log_robot(stream, scene, f"{parent}/world")
+    log_ellipsoids(stream, scene, f"{parent}/world")
+    log_wrench(stream, scene, f"{parent}/world/bedplate")
+    log_signals(stream, scene, parent)
+    log_residuals(stream, scene, parent)
     notes = rr.TextDocument(scene.notes, media_type=rr.MediaType.MARKDOWN)
-    stream.log(f"{at}/notes", notes, static=True)
+    stream.log(f"{parent}/notes", notes, static=True)
 
 
-Shown = Run | str | Path
+RunSource = Run | str | Path
+"""Run, or folder of a run."""
 
 
 def view(
-    data: Recording | Shown | Sequence[Shown],
+    data: Recording | RunSource | Sequence[RunSource],
     *estimates: Estimate | Information,
     path: str | Path | None = None,
 ) -> Path:
-    """Show a robot, what was measured and what estimates predict in Rerun's viewer.
+    """Open the Rerun viewer with a robot, measured signals, and predictions from estimates.
 
     Args:
-        data: A recording; or runs, or folders of runs.
-        estimates: Of the recording's robot.
-        path: The .rrd file to write, and nothing is opened; default a temporary one, which the
-            viewer shows while Python goes on.
+        data: A recording; or a run, its folder, or a sequence of these.
+        *estimates: Estimates of the recording's robot; ignored for runs.
+        path: The .rrd file, to write it without opening the viewer. By default a temporary file is
+            displayed in a viewer that runs in parallel with Python.
 
     Returns:
-        The file.
+        The .rrd file.
 
     Raises:
-        ExperimentError: A folder holds no run.
-        ViewerError: There is no viewer, or no screen for it.
+        ExperimentError: A folder contains no run.
+        ViewerError: The viewer is not installed, or there is no screen.
     """
-    runs = run_of(data, *estimates) if isinstance(data, Recording) else data
-    several = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)
-    shown = [
-        each if isinstance(each, Run) else read_run(Path(each)) for each in several
+    runs = run_from_estimates(data, *estimates) if isinstance(data, Recording) else data
+    sources = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)
+    loaded_runs = [
+        each if isinstance(each, Run) else read_run(Path(each)) for each in sources
     ]
-    place = (
-        Path(tempfile.mkdtemp()) / f"{shown[0].name}.rrd"
+    file = (
+        Path(tempfile.mkdtemp()) / f"{loaded_runs[0].name}.rrd"
         if path is None
         else Path(path)
     )
-    write_rrd([scene_of(run) for run in shown], place)
+    write_runs_rrd([build_scene(run) for run in loaded_runs], file)
     if path is None:
-        start_viewer(place)
-    return place
+        start_viewer(file)
+    return file

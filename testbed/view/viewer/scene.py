@@ -1,4 +1,4 @@
-"""What there is to see of a run, computed: motion, predictions, moments, sizes."""
+"""Contents of a run for the Rerun viewer: motion, predictions, wrench, sizes, notes."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from testbed.core.base.diagnostics import Diagnostic, sentences
 from testbed.core.dynamics.newton_euler import Motion, poses
 from testbed.lab.experiment.predict import Channel, Predictions, predict
 from testbed.lab.experiment.run import Run
-from testbed.lab.experiment.summary import summary, verdict
-from testbed.view.drives import TITLE, drive_table
-from testbed.view.estimates import instrument_tables
+from testbed.lab.experiment.summary import claim_verdict, summary
+from testbed.view.drives import DRIVES_TITLE, drive_table
+from testbed.view.estimates import sensor_error_tables
 
-PRESSED = 0.05
-"""Part of the largest force that must press for there to be a centre of pressure."""
-POSES = 50.0
-"""Poses shown a second [Hz]; the eye sees no more."""
-WINDOW = 10.0
-"""What is seen first [s]."""
-CUTOFF = 10.0
-"""Of the low-pass on residuals: motions are slower [Hz]."""
+MIN_PRESSING_SHARE = 0.05
+"""Smallest vertical force for a centre of pressure, as a share of the largest force."""
+POSE_RATE = 50.0
+"""Rate of displayed poses [Hz]."""
+INITIAL_DURATION = 10.0
+"""Duration of the initial time window [s]."""
+RESIDUAL_CUTOFF = 10.0
+"""Cutoff of the low-pass on residuals, above the frequencies of motions [Hz]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One run, ready to be shown.
+    """Content of one run for the viewer.
 
     Attributes:
-        predictions: The run's recording beside what its estimates say of it.
-        appearance: What the robot looks like.
+        predictions: Measured signals of the run's recording, and predictions from the estimates.
+        appearance: Shapes of the robot.
     """
 
     predictions: Predictions
@@ -43,71 +43,83 @@ class Scene:
 
     @property
     def run(self) -> Run:
-        """The run."""
+        """Run with the recording and the estimates."""
         return self.predictions.run
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What a careful reader should know, of the run and of what cannot be shown."""
+        """Diagnostics of the run and of the robot's shapes."""
         return (*self.run.diagnostics, *self.appearance.diagnostics)
 
     @property
     def motion(self) -> Motion:
-        """What the recording shows, without the ends that filters take."""
+        """Filtered motion of the recording; the ends lost to filters are excluded."""
         return self.predictions.motion
 
     @property
-    def frames(self) -> slice:
-        """Samples of the motion at which poses are shown."""
+    def pose_samples(self) -> slice:
+        """Samples of the motion at which poses are displayed, about `POSE_RATE` per second."""
         return slice(
-            0, self.motion.samples, max(1, round(self.run.recording.rate / POSES))
+            0, self.motion.samples, max(1, round(self.run.recording.rate / POSE_RATE))
         )
 
     @cached_property
-    def smooth(self) -> Predictions:
-        """The predictions through one low-pass."""
-        return self.predictions.smoothed(CUTOFF)
+    def smoothed_predictions(self) -> Predictions:
+        """Predictions and measured signals, low-pass filtered at `RESIDUAL_CUTOFF`."""
+        return self.predictions.smoothed(RESIDUAL_CUTOFF)
 
     @cached_property
     def wrench(self) -> Array | None:
-        """The measured wrench over the motion, (M, 6) [N, N m]; None if there was no plate."""
+        """Measured wrench over the motion, (M, 6) [N, N m]; None if not recorded.
+
+        The force comes first. The wrench of the plate is about the bedplate's origin; that of a
+        force sensor is in the sensor's frame.
+        """
         channels = self.predictions.channels
-        found = [each.measured for each in channels if each.kind == "wrench"]
-        return np.column_stack(found) if found else None
+        columns = [each.measured for each in channels if each.kind == "wrench"]
+        return np.column_stack(columns) if columns else None
 
     @cached_property
-    def span(self) -> float:
-        """How far from the bedplate's origin the robot reached [m]; at least 0.3."""
-        return span_of(self.appearance, self.motion.q[self.frames])
+    def max_distance(self) -> float:
+        """Largest distance of the robot from the bedplate's origin, at least 0.3 m [m]."""
+        return max_distance_from_origin(
+            self.appearance, self.motion.q[self.pose_samples]
+        )
 
     @property
-    def window(self) -> tuple[float, float]:
-        """The seconds seen first: those in which the viewer's clock begins."""
+    def time_window(self) -> tuple[float, float]:
+        """Start and end of the initial time window [s]."""
         time = self.run.recording.time
-        return float(time[0]), float(min(time[0] + WINDOW, time[-1]))
+        return float(time[0]), float(min(time[0] + INITIAL_DURATION, time[-1]))
 
     @cached_property
     def notes(self) -> str:
-        """What was found and what to be careful about, as Markdown."""
+        """Markdown notes of a run: summary, claim, tables of drives and sensors, diagnostics."""
         run = self.run
-        said = [line for line in (*summary(run), verdict(run)) if line]
-        lines = [f"# {plain(run.name)}", *(plain(line) for line in said)]
+        summary_lines = [line for line in (*summary(run), claim_verdict(run)) if line]
+        lines = [
+            f"# {escaped_markdown(run.name)}",
+            *(escaped_markdown(line) for line in summary_lines),
+        ]
         if run.experiment is not None and run.experiment.claim:
-            lines.insert(1, f"**Claim.** {plain(run.experiment.claim)}")
+            lines.insert(1, f"**Claim.** {escaped_markdown(run.experiment.claim)}")
         if run.drives is not None:
-            lines += [f"## {TITLE}", drive_table(run.drives.estimates).markdown]
-        for table in instrument_tables(run):
+            lines += [f"## {DRIVES_TITLE}", drive_table(run.drives.estimates).markdown]
+        for table in sensor_error_tables(run):
             lines += [f"## {table.title}", table.markdown]
         if self.diagnostics:
             lines.append("## Warnings")
             lines.append(
-                "\n".join(f"- {plain(line)}" for line in sentences(self.diagnostics))
+                "\n".join(
+                    f"- {escaped_markdown(line)}"
+                    for line in sentences(self.diagnostics)
+                )
             )
         return "\n\n".join(lines)
 
 
-def scene_of(run: Run) -> Scene:
-    """Compute what there is to see of a run.
+def build_scene(run: Run) -> Scene:
+    """Build the content of a run for the viewer: predictions and shapes.
 
     Args:
         run: The run.
@@ -116,53 +128,79 @@ def scene_of(run: Run) -> Scene:
     return Scene(predict(run), appearance)
 
 
-def span_of(look: Appearance, q: Array) -> float:
-    """How far from the bedplate's origin a robot reaches [m]; at least 0.3.
+def max_distance_from_origin(appearance: Appearance, q: Array) -> float:
+    """Largest distance of a robot from the bedplate's origin, at least 0.3 m [m].
+
+    The origins of the bodies and the tips are considered.
 
     Args:
-        look: The robot.
-        q: Its postures, (M, n) [rad or m].
+        appearance: Shapes of the robot.
+        q: Joint positions, (M, n) [rad or m].
     """
-    placed = poses(look.tree, q)
-    far = [X_WB.p_AB_A for X_WB in placed]
-    far += [placed[j].point(tip) for j, tip in look.tips.items()]
-    return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
+    body_poses = poses(appearance.tree, q)
+    points_by_body = [X_WB.p_AB_A for X_WB in body_poses]
+    points_by_body += [
+        body_poses[j].point(tip) for j, tip in appearance.tip_points.items()
+    ]
+    return max(
+        0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in points_by_body)
+    )
 
 
-def root(k: int, count: int) -> str:
-    """Where the k-th of several runs stands among the entities."""
+def run_entity_path(k: int, count: int) -> str:
+    """Entity path of the k-th run; "" if there is only one run.
+
+    Args:
+        k: Index of the run.
+        count: Number of runs.
+    """
     return "" if count == 1 else f"/run{k + 1}"
 
 
-def safe(name: str) -> str:
-    """A joint's or parameter's name as one part of an entity's path."""
+def escaped_path_part(name: str) -> str:
+    """Name of a joint or parameter, escaped for use in an entity path."""
     return str(rr.escape_entity_path_part(name))
 
 
-def entity(at: str, channel: Channel) -> str:
-    """Rerun entity path of a channel's time series below a parent path."""
-    return f"{at}/{channel.kind}/{safe(channel.name)}"
+def entity(parent: str, channel: Channel) -> str:
+    """Entity path of a channel's time series.
+
+    Args:
+        parent: Entity path under which the channel is placed.
+        channel: The channel.
+    """
+    return f"{parent}/{channel.kind}/{escaped_path_part(channel.name)}"
 
 
-def plain(text: str) -> str:
-    """Text that Markdown takes as it is: asterisks of parameters' names, for one."""
+def escaped_markdown(text: str) -> str:
+    """Text with special characters of Markdown escaped, such as asterisks in names."""
     return re.sub(r"([\\`*_{}\[\]()#+.!<>|~-])", r"\\\1", text)
 
 
 def pressure(wrench: Array) -> Array:
-    """Centre of pressure on the bedplate's plane z = 0, (M, 2) [m]; nan where it is hardly pressed.
+    """Centre of pressure in the bedplate's plane z = 0, (M, 2) [m].
+
+    It is nan where Fz is below the fraction `MIN_PRESSING_SHARE` of the largest force component
+    over time.
 
     Args:
-        wrench: Of the bedplate on the robot, (M, 6) [N, N m].
+        wrench: Wrench of the bedplate on the robot, about the bedplate's origin, (M, 6) [N, N m].
     """
     fz = wrench[:, 2]
-    pressed = fz > PRESSED * np.abs(wrench[:, :3]).max(initial=1e-9)
-    pressing = np.where(pressed, fz, np.nan)
-    return np.column_stack([-wrench[:, 4] / pressing, wrench[:, 3] / pressing])
+    is_pressed = fz > MIN_PRESSING_SHARE * np.abs(wrench[:, :3]).max(initial=1e-9)
+    pressing_force = np.where(is_pressed, fz, np.nan)
+    return np.column_stack(
+        [-wrench[:, 4] / pressing_force, wrench[:, 3] / pressing_force]
+    )
 
 
-def means(signal: Array, size: int) -> Array:
-    """Means of consecutive blocks of `size` samples, (blocks, k)."""
+def block_means(signal: Array, size: int) -> Array:
+    """Means of a signal over consecutive blocks of samples, (blocks, k).
+
+    Args:
+        signal: Signal, (M, k).
+        size: Number of samples of a block; the last block may be shorter.
+    """
     blocks = -(-len(signal) // size)
     starts = np.arange(blocks) * size
     counts = np.diff([*starts, len(signal)])

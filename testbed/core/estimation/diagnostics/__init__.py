@@ -1,4 +1,4 @@
-"""Tests for faults in the data.
+"""Diagnostics: tests of recording, residuals and estimate for faults in the data.
 
 In: residuals of a fit.
 Out: `Diagnostic` values.

@@ -1,4 +1,4 @@
-"""What residuals show: offsets, and noise of the encoders."""
+"""Diagnostics of noise in the residuals: offset, drift, encoder noise and resolution."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import few
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import shortened_list
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.noise_model import NoiseModel
 
-SMALL_CHANCE = 1e-3
-"""Probability below which what is found is not taken for chance."""
+SIGNIFICANCE_LEVEL = 1e-3
+"""Probability below which an offset is not taken for chance."""
 
 
-def noisy(estimate: Estimate) -> bool:
-    """Whether residuals are more than what the filter on positions takes from the motion.
+def has_residual_noise(estimate: Estimate) -> bool:
+    """True if residuals exceed the effect of the low-pass filters on a noise-free motion.
+
+    The limit is 1e-5 of the largest rms signal of all channels.
 
     Args:
-        estimate: Of either method.
+        estimate: Estimate by either method.
     """
     rms = estimate.normal_equations.rms
     # part of the largest signal that the filters may leave of a perfect recording
@@ -27,27 +29,47 @@ def noisy(estimate: Estimate) -> bool:
 
 
 def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
-    """What offsets, slow noise and noise of the encoders do to an estimate.
+    """Diagnostics of encoder noise, encoder resolution, and offset or drift of the plate.
 
     Args:
-        estimate: With what its noise is like.
+        estimate: Estimate with its noise model.
     """
-    noise = estimate.noise
-    if noise is None:
-        return
+    if estimate.noise is not None:
+        yield from _encoder_diagnostics(estimate, estimate.noise)
+        yield from _plate_diagnostics(estimate, estimate.noise)
+
+
+def _encoder_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagnostic]:
+    """Diagnostics of encoder noise and encoder resolution.
+
+    Encoder noise is reported if it makes up a large part of the columns of some parameters. Encoder
+    resolution is reported if quantisation causes more than 5 % of the whitened residuals' sum of
+    squares.
+    """
     if noise.noise_limited:
-        yield diagnose(
-            "encoder.noise", few(noise.noise_limited), method=estimate.method
+        yield make_diagnostic(
+            "encoder.noise", shortened_list(noise.noise_limited), method=estimate.method
         )
-    if noise.steps_matter:
+    if noise.quantization_matters:
         steps = zip(estimate.joints, noise.least_counts, strict=True)
-        coarse = few(
+        coarse = shortened_list(
             [f"'{name}' ({count:.3g} a step)" for name, count in steps if count]
         )
         share = min(noise.by_counts, 1.0)
-        yield diagnose("encoder.resolution", coarse, share, method=estimate.method)
+        yield make_diagnostic(
+            "encoder.resolution", coarse, share, method=estimate.method
+        )
+
+
+def _plate_diagnostics(estimate: Estimate, noise: NoiseModel) -> Iterator[Diagnostic]:
+    """Diagnostic of a significant offset of the plate, else of a drift that hides parameters.
+
+    An offset is significant if the constants of the channels have a p-value up to 1e-3. A drift is
+    noise of a channel that is correlated over half of the recording; it hides parameters that are
+    collinear with a constant.
+    """
     hidden, verb = ", ".join(noise.hidden), "is" if len(noise.hidden) == 1 else "are"
-    if noise.bias_chance <= SMALL_CHANCE:
+    if noise.bias_chance <= SIGNIFICANCE_LEVEL:
         constants = zip(
             estimate.channels,
             estimate.channel_units,
@@ -55,10 +77,10 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
             noise.bias_sigma,
             strict=True,
         )
-        yield diagnose(
+        yield make_diagnostic(
             "plate.offset",
             "the plate",
-            method="external",
+            method="wrench",
             constants=", ".join(
                 f"{channel} {value:.3g} +- {sigma:.2g} {unit}"
                 for channel, unit, value, sigma in constants
@@ -67,41 +89,51 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
             hidden=hidden,
             verb=verb,
         )
-    elif any(_slow(noise)) and noise.hidden:
-        memories = zip(estimate.channels, noise.memory, _slow(noise), strict=True)
-        slow = ", ".join(
-            f"{channel} ({time:.2g} s)"
-            for channel, time, is_slow in memories
-            if is_slow
+    elif any(_drifting_channels(noise)) and noise.hidden:
+        memories = zip(
+            estimate.channels, noise.memory, _drifting_channels(noise), strict=True
         )
-        yield diagnose(
+        drifting = ", ".join(
+            f"{channel} ({time:.2g} s)"
+            for channel, time, is_drifting in memories
+            if is_drifting
+        )
+        yield make_diagnostic(
             "plate.drift",
             "the plate",
-            method="external",
-            channels=slow,
+            method="wrench",
+            channels=drifting,
             hidden=hidden,
             verb=verb,
         )
 
 
-def zero_unknown(noise: NoiseModel | None) -> tuple[str, ...]:
-    """Parameters that are not identifiable beside the plate's zero, where that is off or drifts.
+def unidentifiable_beside_bias(noise: NoiseModel | None) -> tuple[str, ...]:
+    """Parameters that cannot be separated from a significant offset or drift of the plate.
+
+    The result is empty if there is neither an offset (p-value up to 1e-3) nor a drift (noise
+    correlated over half the recording).
 
     Args:
-        noise: What the residuals are like.
+        noise: Noise model of the residuals; None for white noise.
     """
     if noise is None:
         return ()
-    known = noise.bias_chance > SMALL_CHANCE and not any(_slow(noise))
+    known = noise.bias_chance > SIGNIFICANCE_LEVEL and not any(
+        _drifting_channels(noise)
+    )
     return () if known else noise.hidden
 
 
-def chance_text(chance: float) -> str:
-    """A probability as a person reads it."""
-    return f"chance {chance:.0e}" if chance > 1e-99 else "chance below 1e-99"
+def p_value_text(p_value: float) -> str:
+    """Text of a p-value, such as "p-value 1e-05"."""
+    return f"p-value {p_value:.0e}" if p_value > 1e-99 else "p-value below 1e-99"
 
 
-def _slow(noise: NoiseModel) -> list[bool]:
-    """Of each channel, whether it wanders so slowly that its constant rests on nothing."""
-    # part of a recording over which the noise of a channel is correlated, and is a drift
+def _drifting_channels(noise: NoiseModel) -> list[bool]:
+    """True for each channel whose noise is correlated over half of the recording.
+
+    The slowest mode of such noise takes longer than half of the recording to decay to 1/e.
+    """
+    # correlation time relative to the recording, above which noise is a drift
     return [memory > 0.5 * noise.span for memory in noise.memory]

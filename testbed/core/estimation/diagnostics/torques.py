@@ -1,4 +1,4 @@
-"""Torques held against what the plate's estimate predicts: estimates of one recording compared."""
+"""Comparison of measured joint torques with predictions from the plate's estimate."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered
-from testbed.core.estimation.estimate import METHODS, Estimate
-from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.base.diagnostics import (
+    Diagnostic,
+    make_diagnostic,
+    ordered_diagnostics,
+)
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.estimation.regression.normal_equations import SMALLEST_POSITIVE
 from testbed.core.parameters.minimal_set import selection
-from testbed.core.robot.shafts import shares
+from testbed.core.parameters.rules import SIGNALS
+from testbed.core.robot.shafts import transmission_matrix
 
-UNITS = {
+UNIT_FACTORS = {
     1e3: "torques-in-n-mm",
     1e-3: "moments-in-n-mm",
     0.7376: "torques-in-lbf-ft",
@@ -25,38 +30,47 @@ UNITS = {
     0.10197: "torques-in-kgf-m",
     180 / np.pi: "degrees",
 }
-"""What a factor may mean: codes of causes."""
+"""Cause of a torque scale factor, by factor: a wrong unit."""
 
 
 class TorqueFactor(NamedTuple):
-    """Ratio of a joint's reported torque to the predicted one.
+    """Ratio of a joint's measured torque to the predicted torque.
 
     Attributes:
-        value: The ratio.
-        sigma: Its standard deviation: of noise in the torque, and of what is predicted at worst.
+        value: Ratio.
+        sigma: Standard deviation of the ratio, from the noise of the torque and an upper bound on
+            the error of the prediction.
     """
 
     value: float
     sigma: float
 
 
-def cross_check(external: Estimate, internal: Estimate) -> Iterator[Diagnostic]:
-    """Joints whose torques are not what the plate's estimate predicts.
+def torque_scale_diagnostics(
+    wrench_estimate: Estimate, torque_estimate: Estimate
+) -> Iterator[Diagnostic]:
+    """Diagnostics of joints whose torques differ from the plate's prediction by a factor.
 
-    A factor near one says something of the drive only where nothing is wrong with the plate.
+    Factors outside 0.77 to 1.3, as caused by a wrong unit, are reported as "torque.scale". Other
+    factors are reported as "torque.constant" if they differ from one by more than 2 % and 8 sigma
+    and the plate's estimate has no errors. No diagnostics are given for estimates of different
+    robots, gravities or zeros.
 
     Args:
-        external: From the plate.
-        internal: From the torques of the same recording, with the same zeros and gravity.
+        wrench_estimate: Estimate from the wrench.
+        torque_estimate: Estimate from the torques of the same recording.
     """
     try:
-        s = selection(internal.minimal, external.minimal)
-    except ValueError:  # not of one robot, gravity and list of zeros
+        selection_matrix = selection(torque_estimate.minimal, wrench_estimate.minimal)
+    except ValueError:  # different robot, gravity or list of zeros
         return
-    known, spread = s @ external.base.values, s @ external.base.covariance @ s.T
-    for joint, name in enumerate(internal.joints):
+    predicted_parameters, covariance = (
+        selection_matrix @ wrench_estimate.base.values,
+        selection_matrix @ wrench_estimate.base.covariance @ selection_matrix.T,
+    )
+    for joint, name in enumerate(torque_estimate.joints):
         factor, subject = (
-            torque_factor(internal, known, spread, joint),
+            torque_factor(torque_estimate, predicted_parameters, covariance, joint),
             f"the torque of '{name}'",
         )
         if factor is None:
@@ -65,86 +79,111 @@ def cross_check(external: Estimate, internal: Estimate) -> Iterator[Diagnostic]:
         # between these factors it is a torque constant that is wrong
         if not 0.77 < value < 1.3:
             # relative difference up to which factors are the same
-            units = [
+            unit_causes = [
                 cause
-                for unit, cause in UNITS.items()
+                for unit, cause in UNIT_FACTORS.items()
                 if abs(abs(value) / unit - 1) < 0.15
             ]
-            causes = ["sign"] * (value < 0) + [*units, "motor-side", "exchanged"]
-            yield diagnose("torque.scale", subject, value, sigma=sigma, causes=causes)
-        # by so much it differs from one without a word, and by as many sigmas it may be noise
-        elif not external.doubtful and abs(value - 1) > max(0.02, 8.0 * sigma):
-            yield diagnose(
+            causes = ["sign"] * (value < 0) + [*unit_causes, "motor-side", "exchanged"]
+            yield make_diagnostic(
+                "torque.scale", subject, value, sigma=sigma, causes=causes
+            )
+        # smaller differences from one, absolute or in sigmas, are not reported
+        elif not wrench_estimate.has_errors and abs(value - 1) > max(0.02, 8.0 * sigma):
+            yield make_diagnostic(
                 "torque.constant",
                 subject,
                 value,
                 sigma=sigma,
-                significance=abs(value - 1) / max(sigma, TINY),
-                method="internal",
+                significance=abs(value - 1) / max(sigma, SMALLEST_POSITIVE),
+                method="torque",
             )
 
 
-def diagnostics_of(estimates: Iterable[Estimate]) -> tuple[Diagnostic, ...]:
-    """What estimates of one recording say of it, each alone and compared with each other.
+def diagnostics_of_estimates(estimates: Iterable[Estimate]) -> tuple[Diagnostic, ...]:
+    """Diagnostics of estimates of one recording, with the comparison of both methods.
 
     Args:
-        estimates: By both methods or by one.
+        estimates: Estimates by one method or by both.
     """
     by_method = {estimate.method: estimate for estimate in estimates}
     diagnostics = [
-        each for estimate in by_method.values() for each in estimate.diagnostics
+        diagnostic
+        for estimate in by_method.values()
+        for diagnostic in estimate.diagnostics
     ]
-    if len(by_method) == len(METHODS):
-        diagnostics += cross_check(by_method["external"], by_method["internal"])
-    return ordered(diagnostics)
+    if len(by_method) == len(SIGNALS):
+        diagnostics += torque_scale_diagnostics(
+            by_method["wrench"], by_method["torque"]
+        )
+    return ordered_diagnostics(diagnostics)
 
 
 def torque_factor(
-    internal: Estimate, known: Array, spread: Array, joint: int
+    torque_estimate: Estimate, parameters: Array, covariance: Array, joint: int
 ) -> TorqueFactor | None:
-    """Factor between a joint's reported torque and the predicted one.
+    """Factor between a joint's measured torque and the predicted torque.
+
+    Terms of the joint itself (friction, rotor, offset, axial inertia) are first eliminated from
+    both torques by least squares; the factor is the regression coefficient of the remainders.
 
     Args:
-        internal: From the torques.
-        known: The dynamic minimal parameters from elsewhere, (N_d,).
-        spread: Their covariance, (N_d, N_d).
+        torque_estimate: Estimate from the torques.
+        parameters: Minimal parameters of the torques from another estimate, (N_d,).
+        covariance: Covariance of these parameters, (N_d, N_d).
         joint: Index of the joint.
 
     Returns:
-        None where the joint's torque does not say: it is mostly friction, rotor or noise, or
-        it is not predicted well.
+        Factor with sigma. None if, in terms of squares, the predicted remainder is below 1e-3 of
+            the predicted torque, or the explained part of the measured remainder is below ten times
+            the unexplained part, or if the relative error of the prediction exceeds 5 %.
     """
-    equations = internal.measured_equations or internal.normal_equations
+    equations = torque_estimate.measured_equations or torque_estimate.normal_equations
     normal, right, square = equations.of_channel(joint)
-    count = internal.minimal.count
-    own = [k for k, body in enumerate(internal.minimal.axial) if body == joint]
-    if internal.drives is not None:
-        turn = shares(internal.drives.tree)[:, joint]
-        own += [
+    count = torque_estimate.minimal.count
+    joint_columns = [
+        k for k, body in enumerate(torque_estimate.minimal.axial) if body == joint
+    ]
+    if torque_estimate.drives is not None:
+        turn = transmission_matrix(torque_estimate.drives.tree)[:, joint]
+        joint_columns += [
             count + k
-            for k, term in enumerate(internal.drives.terms)
+            for k, term in enumerate(torque_estimate.drives.terms)
             if turn[term.joint]
         ]
     predicted = np.zeros(len(right))
-    predicted[:count] = known
-    predicted[own] = 0.0  # a rotor may be part of it
-    size, both = float(predicted @ normal @ predicted), float(right @ predicted)
-    across = np.column_stack([normal[own] @ predicted, right[own]])
-    shared = np.linalg.lstsq(normal[np.ix_(own, own)], across, rcond=1e-12)[0]
+    predicted[:count] = parameters
+    predicted[joint_columns] = 0.0  # it may contain a rotor
+    predicted_square, product = (
+        float(predicted @ normal @ predicted),
+        float(right @ predicted),
+    )
+    projections = np.column_stack(
+        [normal[joint_columns] @ predicted, right[joint_columns]]
+    )
+    coefficients = np.linalg.lstsq(
+        normal[np.ix_(joint_columns, joint_columns)], projections, rcond=1e-12
+    )[0]
     # what friction does not explain, of the predicted and of the reported torque
-    beside = np.array([[size, both], [both, square]]) - across.T @ shared
-    (alone, both), (_, residual) = beside.tolist()
+    reduced = (
+        np.array([[predicted_square, product], [product, square]])
+        - projections.T @ coefficients
+    )
+    (reduced_square, product), (_, residual) = reduced.tolist()
     # part of the predicted torque, in power, that a rotor, friction or an offset cannot replace
-    if alone <= 1e-3 * size:
+    if reduced_square <= 1e-3 * predicted_square:
         return None
-    factor = both / alone
-    residual -= factor**2 * alone
-    error = float(np.sum(normal[:count, :count] * spread))
+    factor = product / reduced_square
+    residual -= factor**2 * reduced_square
+    error = float(np.sum(normal[:count, :count] * covariance))
     # in power, ten times the unexplained rest of a torque must follow the predicted one, which is
     # known well enough up to this relative error
-    if factor**2 * alone <= 10.0 * residual or error >= 0.05**2 * alone:
+    if (
+        factor**2 * reduced_square <= 10.0 * residual
+        or error >= 0.05**2 * reduced_square
+    ):
         return None
     rows = max(float(equations.used[joint]), 1.0)
     return TorqueFactor(
-        factor, float(np.sqrt((max(residual, 0.0) / rows + error) / alone))
+        factor, float(np.sqrt((max(residual, 0.0) / rows + error) / reduced_square))
     )

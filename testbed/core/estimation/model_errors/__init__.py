@@ -1,5 +1,5 @@
-"""Model errors: what robots have and rigid bodies with the stated joint terms have not.
+"""Model errors: effects of real robots beyond rigid bodies and the chosen joint terms.
 
 In: a problem, an estimate of its parameters.
-Out: families of model errors that the residuals show, and what they do to the estimate.
+Out: families (types) of model errors found in the residuals, and their effect on the estimate.
 """

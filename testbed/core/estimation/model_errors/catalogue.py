@@ -1,4 +1,4 @@
-"""Catalogue of the families: every class in `families`, and sensors' errors."""
+"""Catalogue of model error families: classes in `families`, and systematic sensor errors."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from testbed.sensors.catalogue import candidate_errors
 
 
 def model_error_families() -> tuple[ModelErrorFamily, ...]:
-    """All families, those of sensors last."""
-    return (*_own_families(), *(SensorFamily(error) for error in candidate_errors()))
+    """Instances of every family of model errors; families of sensor errors come last."""
+    return (*_module_families(), *(SensorFamily(error) for error in candidate_errors()))
 
 
 @cache
-def _own_families() -> tuple[ModelErrorFamily, ...]:
-    """Families of the modules."""
+def _module_families() -> tuple[ModelErrorFamily, ...]:
+    """Instances of the concrete families in the modules of `families`, in order of module names."""
     classes = [
         value
         for module in iter_modules(families.__path__, f"{families.__name__}.")

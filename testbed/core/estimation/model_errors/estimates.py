@@ -1,4 +1,4 @@
-"""What is estimated of model errors, and what they do to the unknowns."""
+"""Estimates of model errors, and their effect on the unknowns."""
 
 from __future__ import annotations
 
@@ -9,29 +9,34 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
-from testbed.core.estimation.regression.normal_equations import TINY, scaled_solve
+from testbed.core.estimation.regression.normal_equations import (
+    SMALLEST_POSITIVE,
+    solve_scaled,
+)
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 
-KNOWN = 1e-12
-"""Variance of a direction of the unknowns, relative to theirs, that is known."""
+MIN_RELATIVE_VARIANCE = 1e-12
+"""Variance of a direction of the unknowns, relative to the others, below which it is known."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelErrorEstimate:
-    """Model error of one family.
+    """Estimated model error of one family, which is a type of model error.
 
     Attributes:
-        family: Its kind.
-        label: What people call it.
-        meaning: What in the robot does it.
-        remedy: What to do.
-        gain: Log likelihood that it is worth [nats].
-        physical: Whether its columns follow from a law.
-        named: Whether its gain is beyond doubt.
-        corrected: Whether it is taken out of the measurements.
-        effect: Rms beside the parameters in each channel, (C,) [N, N m].
-        share: The same over that of the residual without it, (C,).
-        coefficients: The clearest first, where they are quantities.
+        family: Unique key (`kind`) of the family.
+        label: Name for reports.
+        meaning: Cause in the robot.
+        remedy: Remedy for the user.
+        gain: Gain of the restricted log likelihood due to the family [nats].
+        physical: True if the columns follow from a physical law.
+        named: True if the gain is at least MIN_NAMED_GAIN: the family is reported as the cause.
+        corrected: True if the error is subtracted from the measurements.
+        effect: Rms of the error in each channel, without the part collinear with the unknowns, (C,)
+            [N, N m].
+        share: Effect relative to the rms residual of the unknowns alone, (C,).
+        coefficients: Reported coefficients in order of decreasing significance; empty for most
+            families.
     """
 
     family: str
@@ -48,17 +53,17 @@ class ModelErrorEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Sizes:
-    """Greatest magnitudes in a recording, of which plausible model errors are parts.
+class SignalSizes:
+    """Greatest magnitudes of signals in a recording, used to scale plausible model errors.
 
     Attributes:
-        torque: Of the joints' torques, (n,) [N m or N].
-        wrench: Of the base wrench, (6,) [N, N m].
-        speed: (n,) [rad/s or m/s].
-        acceleration: (n,) [rad/s^2 or m/s^2].
-        range: Of the positions about their means, (n,) [rad or m].
+        torque: Joint torques, (n,) [N m or N].
+        wrench: Base wrench, (6,) [N, N m].
+        speed: Joint speeds, (n,) [rad/s or m/s].
+        acceleration: Joint accelerations, (n,) [rad/s^2 or m/s^2].
+        range: Distances of the positions from their means, (n,) [rad or m].
         middle: Mean positions, (n,) [rad or m].
-        duration: Half that of the recording [s].
+        duration: Half the duration of the recording [s].
     """
 
     torque: Array
@@ -72,16 +77,16 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class ModelErrorCorrection:
-    """Coefficients of model errors: what they make in the measurements of any motion.
+    """Coefficients of model errors, from which the errors in any recording are predicted.
 
     Attributes:
-        families: Kinds.
-        counts: Columns of each.
-        columns: Which these are of a family with alternatives; () where there are all.
-        coefficients: In plausible sizes, (k,).
-        spread: Second moments of the coefficients about what is true, (k, k).
-        gain: Change of the unknowns by the coefficients where these are not taken out, (p, k).
-        sizes: Of the recording that showed them.
+        families: Kinds of the families.
+        counts: Number of columns of each family.
+        columns: Column indices used in each family; () for all columns of the family.
+        coefficients: Coefficients relative to the plausible sizes of the errors, (k,).
+        spread: Second moments of the coefficients' errors, (k, k).
+        gain: Change of the unknowns per coefficient if the errors are not subtracted, (p, k).
+        sizes: Signal magnitudes of the recording from which the coefficients were estimated.
     """
 
     families: tuple[str, ...]
@@ -90,31 +95,31 @@ class ModelErrorCorrection:
     coefficients: Array
     spread: Array
     gain: Array
-    sizes: Sizes
+    sizes: SignalSizes
 
     @property
     def covariance(self) -> Array:
-        """What the coefficients' spread makes in the unknowns, (p, p)."""
+        """Covariance of the unknowns due to the coefficients' errors, (p, p)."""
         return np.asarray(self.gain @ self.spread @ self.gain.T)
 
-    def of(self, kinds: Collection[str]) -> ModelErrorCorrection:
-        """The part of some families.
+    def for_families(self, kinds: Collection[str]) -> ModelErrorCorrection:
+        """Correction restricted to the given families.
 
         Args:
-            kinds: Which.
+            kinds: Kinds of the families.
         """
-        kept = np.array([kind in kinds for kind in self.families])
-        at = np.repeat(kept, self.counts)
+        flags = np.array([kind in kinds for kind in self.families])
+        column_flags = np.repeat(flags, self.counts)
         return replace(
             self,
-            families=tuple(np.array(self.families)[kept].tolist()),
-            counts=tuple(np.array(self.counts)[kept].tolist()),
+            families=tuple(np.array(self.families)[flags].tolist()),
+            counts=tuple(np.array(self.counts)[flags].tolist()),
             columns=tuple(
-                c for c, keep in zip(self.columns, kept, strict=True) if keep
+                c for c, flag in zip(self.columns, flags, strict=True) if flag
             ),
-            coefficients=self.coefficients[at],
-            spread=self.spread[np.ix_(at, at)],
-            gain=self.gain[:, at],
+            coefficients=self.coefficients[column_flags],
+            spread=self.spread[np.ix_(column_flags, column_flags)],
+            gain=self.gain[:, column_flags],
         )
 
 
@@ -123,11 +128,12 @@ class RepeatableError:
     """Part of the residuals that repeats with the motion.
 
     Attributes:
-        period: Of the motion, or of what recordings of it have in common [s].
-        recordings: Number of recordings compared; 1 for periods of one.
-        chance: Probability of as much in noise.
-        rms: In each channel, (C,) [N, N m].
-        share: In squares of the channel's residual, (C,).
+        period: Period of the motion, or duration that the recordings have in common [s].
+        recordings: Number of recordings compared; 1 for periods of one recording.
+        chance: P-value of the F test, the probability of an equally large repetition in noise
+            alone.
+        rms: Rms of the repeatable part in each channel, (C,) [N, N m].
+        share: Share of the repeatable part in each channel's squared residual, (C,).
     """
 
     period: float
@@ -137,8 +143,8 @@ class RepeatableError:
     share: Array
 
     @property
-    def again(self) -> str:
-        """When the motion comes again, in words."""
+    def repetition_text(self) -> str:
+        """Phrase that describes the repetition: "in 3 recordings of it", or "every 2.5 s"."""
         if self.recordings > 1:
             return f"in {self.recordings} recordings of it"
         return f"every {self.period:.4g} s"
@@ -146,12 +152,13 @@ class RepeatableError:
 
 @dataclass(frozen=True, eq=False)
 class ModelErrorEffect:
-    """Effect of model errors of uncertain coefficients on the unknowns.
+    """Effect of model errors with uncertain coefficients on the unknowns.
 
     Attributes:
-        spread: Second moments of what they may be beside those taken out, (k, k).
-        information: Of the unknowns, (p, p).
-        cross: Of unknowns and coefficients, (p, k).
+        spread: Second moments of the coefficients' errors after the correction, (k, k).
+        information: Information matrix X' X of the unknowns, with rows in units of the noise,
+            (p, p).
+        cross: Products X' Z of the columns of unknowns and coefficients, (p, k).
     """
 
     spread: Array
@@ -159,28 +166,31 @@ class ModelErrorEffect:
     cross: Array
 
     def root(self, covariance: Array, prior: Array | None = None) -> Array:
-        """Root of the covariance that the errors add to the unknowns, (p, k).
+        """Factor A of the covariance A A' that model errors add to the unknowns, (p, k).
 
         Args:
-            covariance: As of `gain`.
-            prior: As of `gain`.
+            covariance: Covariance of the unknowns without model errors, (p, p).
+            prior: Prior covariance of the unknowns, (p, p); None for no prior.
         """
         sizes, axes = eigh(self.spread)
         size = np.sqrt(np.maximum(sizes, 0.0))
         return np.asarray(self.gain(covariance, prior) @ (axes * size))
 
     def gain(self, covariance: Array, prior: Array | None = None) -> Array:
-        """Change of the unknowns by the coefficients, (p, k).
+        """Sensitivity of the estimated unknowns to the error coefficients, (p, k).
+
+        It is (J + P^-1)^-1 X' Z, where J is the information and P the prior covariance.
 
         Args:
-            covariance: Of the unknowns otherwise, (p, p): what is known stays known.
-            prior: Covariance of the unknowns before the data, (p, p); None for none.
+            covariance: Covariance of the unknowns without model errors, (p, p); directions with a
+                relative variance below MIN_RELATIVE_VARIANCE stay fixed.
+            prior: Prior covariance of the unknowns, (p, p); None for no prior.
         """
         information = self.information
         if prior is not None:
             information = information + np.linalg.pinv(prior, hermitian=True)
-        scale = np.sqrt(np.maximum(np.diagonal(covariance), TINY))
+        scale = np.sqrt(np.maximum(np.diagonal(covariance), SMALLEST_POSITIVE))
         spread, directions = eigh(covariance / np.outer(scale, scale))
-        free = scale[:, None] * directions[:, spread > KNOWN]
+        free = scale[:, None] * directions[:, spread > MIN_RELATIVE_VARIANCE]
         right = free.T @ self.cross
-        return np.asarray(free @ scaled_solve(free.T @ information @ free, right))
+        return np.asarray(free @ solve_scaled(free.T @ information @ free, right))

@@ -1,4 +1,4 @@
-"""Family of model errors: columns of first order, of a plausible size each."""
+"""Base classes of families (types) of model errors, given by columns of plausible size."""
 
 from __future__ import annotations
 
@@ -8,114 +8,129 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.model_errors.linearization import Linearization
+from testbed.core.parameters.rules import SIGNALS, Signal
 from testbed.core.robot.tree import Tree
 
 
-def by_channel(columns: Array) -> Array:
-    """Columns of each channel alone, (C, R, C k), of k columns of each, (C, R, k)."""
+def block_diagonal_columns(columns: Array) -> Array:
+    """Block-diagonal columns, (C, R, C k), from k columns of each channel, (C, R, k)."""
     channels, rows, count = columns.shape
-    found = np.zeros((channels, rows, channels, count))
-    found[range(channels), :, range(channels)] = columns
-    return found.reshape(channels, rows, -1)
+    columns_out = np.zeros((channels, rows, channels, count))
+    columns_out[range(channels), :, range(channels)] = columns
+    return columns_out.reshape(channels, rows, -1)
 
 
 class ModelErrorFamily(ABC):
-    """Model errors of one kind; a class in a module of `families`."""
+    """Base class of families (types) of model errors that are linear in their coefficients.
+
+    A coefficient of one corresponds to an error of plausible size. Concrete families are defined in
+    the modules of `families`; `SensorFamily` represents a sensor error.
+    """
 
     kind: str
-    """Name."""
+    """Unique key."""
     label: str
-    """What people call it."""
+    """Name for reports."""
     meaning: str
-    """What in the robot does it."""
+    """Cause in the robot."""
     remedy: str
-    """What to do."""
-    methods: tuple[Method, ...] = METHODS
-    """Methods whose measurements show it."""
+    """Remedy for the user."""
+    methods: tuple[Signal, ...] = SIGNALS
+    """Methods whose measurements show the error."""
     physical: bool = True
-    """Whether its columns follow from a law; else they are features of the state or of time."""
+    """True if columns follow from a physical law; else they are features of state or time."""
     lasting: bool = True
-    """Whether another motion has the same error."""
+    """True if other motions of the robot have the same error."""
     is_term: bool = False
-    """Whether it is a law of a joint's torque that should be among the unknowns: such a one is not
-    taken out, since friction without it predicts no torques."""
+    """True for a law of joint torque that should be among the unknowns. It is not subtracted from
+    the measurements: friction without it predicts no torques."""
     noisy: bool = False
-    """Whether noise of the encoders is in the columns, as in residuals: accelerations, or signs."""
+    """True if encoder noise enters the columns and the residuals, by accelerations or signs."""
     alternatives: int = 1
-    """Alternatives of which each joint has the best: columns are joint by joint, alternative by
-    alternative."""
+    """Number of alternative pairs of columns, of which the best pair of each joint is used; columns
+    are ordered by joint, then by alternative."""
 
-    def applies(self, at: Linearization) -> bool:
-        """Whether the robot can have it.
+    def applies(self, point: Linearization) -> bool:
+        """True if the robot can have the error.
 
         Args:
-            at: Motion and forces.
+            point: Motion and predicted forces about which the error is linearised.
         """
-        del at
+        del point
         return True
 
-    def numbers(self, tree: Tree) -> Sequence[tuple[str, str, float]]:
-        """Names, units and plausible sizes of the columns; none where they are no quantities.
+    def coefficient_scales(self, tree: Tree) -> Sequence[tuple[str, str, float]]:
+        """Names, units and plausible sizes of coefficients to be reported; empty by default.
 
         Args:
-            tree: The robot.
+            tree: Kinematic tree of the robot.
         """
         del tree
         return ()
 
     @abstractmethod
-    def columns(self, at: Linearization) -> Array:
-        """Effects on what is measured, each of a plausible size, (m, C, k) [N, N m].
+    def columns(self, point: Linearization) -> Array:
+        """Effects of errors of plausible size on the measurements, (m, C, k) [N, N m].
 
         Args:
-            at: Motion and forces.
+            point: Motion at m instants and predicted forces in C channels, about which the error is
+                linearised.
         """
 
-    def some(self, at: Linearization, kept: Sequence[int]) -> Array:
-        """Some of the columns, (m, C, k); all where none is named.
+    def selected_columns(self, point: Linearization, indices: Sequence[int]) -> Array:
+        """Columns with the given indices, (m, C, k); all columns for empty indices.
 
         Args:
-            at: Motion and forces.
-            kept: Which.
+            point: Motion and predicted forces about which the error is linearised.
+            indices: Column indices.
         """
-        columns = self.columns(at)
-        return columns[:, :, list(kept)] if kept else columns
+        columns = self.columns(point)
+        return columns[:, :, list(indices)] if indices else columns
 
 
 class JointFamily(ModelErrorFamily):
-    """Model errors of single joints' torques."""
+    """Model errors in the torques of single joints, with separate coefficients for each joint."""
 
-    methods: tuple[Method, ...] = ("internal",)
+    methods: tuple[Signal, ...] = ("torque",)
 
-    def columns(self, at: Linearization) -> Array:
-        """Effects on the torques, each joint's by itself, (m, n, n k) [N m or N]."""
-        return by_channel(self.torques(at).transpose(1, 0, 2)).transpose(1, 0, 2)
+    def columns(self, point: Linearization) -> Array:
+        """Effects on the torques, with separate columns for each joint, (m, n, n k) [N m or N]."""
+        return block_diagonal_columns(self.torques(point).transpose(1, 0, 2)).transpose(
+            1, 0, 2
+        )
 
-    def some(self, at: Linearization, kept: Sequence[int]) -> Array:
-        """Some of the columns, (m, n, k); of many alternatives the others are not made."""
-        if not kept:
-            return self.columns(at)
-        torques = self.torques(at)
-        columns = np.zeros((*torques.shape[:2], len(kept)))
-        for k, place in enumerate(kept):
-            joint, own = divmod(place, torques.shape[2])
-            columns[:, joint, k] = torques[:, joint, own]
+    def selected_columns(self, point: Linearization, indices: Sequence[int]) -> Array:
+        """Columns with the given indices, (m, n, k); all columns for empty indices.
+
+        With c columns in `torques`, column index c j + i denotes column i of joint j, which is zero
+        for other joints. Only the selected columns are assembled.
+
+        Args:
+            point: Motion at m instants and predicted forces about which the error is linearised.
+            indices: Column indices.
+        """
+        if not indices:
+            return self.columns(point)
+        torques = self.torques(point)
+        columns = np.zeros((*torques.shape[:2], len(indices)))
+        for k, index in enumerate(indices):
+            joint, column = divmod(index, torques.shape[2])
+            columns[:, joint, k] = torques[:, joint, column]
         return columns
 
     @abstractmethod
-    def torques(self, at: Linearization) -> Array:
+    def torques(self, point: Linearization) -> Array:
         """Effects on each joint's own torque, (m, n, k) [N m or N].
 
         Args:
-            at: Motion and forces.
+            point: Motion and predicted forces about which the error is linearised.
         """
 
 
 class FrameFamily(ModelErrorFamily):
-    """Model errors of frames or base."""
+    """Model errors of joint frames or of the base."""
 
-    def applies(self, at: Linearization) -> bool:
-        """Whether the base is fixed and the plate below it."""
-        return at.with_frames
+    def applies(self, point: Linearization) -> bool:
+        """True if the base is fixed and no force sensor is inside the robot."""
+        return point.has_frame_derivatives

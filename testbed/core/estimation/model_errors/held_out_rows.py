@@ -1,4 +1,4 @@
-"""Families whose coefficients, estimated on some rows, predict others better than none."""
+"""Cross-validation of model errors: families that improve the prediction of held-out rows."""
 
 from __future__ import annotations
 
@@ -8,53 +8,77 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.model_errors.restricted_likelihood import ProjectedRows
-from testbed.core.estimation.regression.normal_equations import TINY, scaled_solve
+from testbed.core.estimation.regression.normal_equations import (
+    SMALLEST_POSITIVE,
+    solve_scaled,
+)
 
 FOLDS = (2, 4, 8)
-"""Numbers of consecutive parts, of which each is predicted by the others."""
+"""Numbers of folds; each fold is a consecutive part that the others predict."""
 
-WEAK = 0.02
-"""Part of the information of all rows that holds the unknowns where the seen rows do not."""
+WEAK_PRIOR_SHARE = 0.02
+"""Part of the information of all rows that serves as prior of the unknowns."""
 
-BETTER = 0.98
-"""Part of the squares left without a family, beyond which its correction is not taken."""
+MAX_LOSS_RATIO = 0.98
+"""Largest ratio of squared prediction errors with and without families for a correction."""
 
 
-def predictive(products: ProjectedRows, order: Sequence[str], variances: Array) -> int:
-    """How many of the first families in an order predict held-out rows best.
+def predictive_count(
+    products: ProjectedRows, order: Sequence[str], variances: Array
+) -> int:
+    """Number of leading families that predict held-out rows best; 0 without improvement.
+
+    The best number has the smallest loss (`_held_out_loss`), below MAX_LOSS_RATIO times the loss
+    without families.
 
     Args:
-        products: Of unknowns and families under white noise.
-        order: Kinds, the clearest first.
-        variances: Of each kind.
+        products: Unknowns and families under white noise.
+        order: Kinds of families, in order of decreasing gain.
+        variances: Variance of each family's coefficients.
     """
-    losses = [_loss(products, order[:k], variances[:k]) for k in range(len(order) + 1)]
+    losses = [
+        _held_out_loss(products, order[:k], variances[:k])
+        for k in range(len(order) + 1)
+    ]
     best = int(np.argmin(losses))
-    return best if losses[best] < BETTER * losses[0] else 0
+    return best if losses[best] < MAX_LOSS_RATIO * losses[0] else 0
 
 
-def _loss(products: ProjectedRows, kinds: Sequence[str], variances: Array) -> float:
-    """Sum of squares left of held-out rows, in units of the noise."""
-    rows, scale = products.rows, products.rows.used / products.noise.total[:, None]
+def _held_out_loss(
+    products: ProjectedRows, kinds: Sequence[str], variances: Array
+) -> float:
+    """Sum of squared prediction errors of held-out rows, in units of the noise.
+
+    Rows are divided into 2, 4 and 8 consecutive parts (FOLDS). The rows of a part are predicted
+    from all others and the prior of `_weak_prior`; errors of the three divisions are summed.
+
+    Args:
+        products: Unknowns and families under white noise.
+        kinds: Kinds of families in the model.
+        variances: Variance of each family's coefficients.
+    """
+    rows, scale = products.rows, products.rows.row_mask / products.noise.total[:, None]
     blocks = [rows.columns, *(rows.families[kind] for kind in kinds)]
-    every = np.concatenate([*blocks, rows.measured[..., None]], axis=2)
-    every = every * scale[..., None]
-    whole = _squares(every)
+    rows_with_measured = np.concatenate([*blocks, rows.measured[..., None]], axis=2)
+    rows_with_measured = rows_with_measured * scale[..., None]
+    whole = _gram_matrix(rows_with_measured)
     counts = [each.shape[2] for each in blocks]
-    known, offset = _weak_prior(whole, counts, variances)
+    prior, offset = _weak_prior(whole, counts, variances)
     total = 0.0
     for folds in FOLDS:
-        for part in np.array_split(every, folds, axis=1):
-            own = part.reshape(-1, every.shape[2])
-            seen = whole - own.T @ own
-            values = scaled_solve(seen[:-1, :-1] + known, seen[:-1, -1] + offset)
-            left = own[:, -1] - own[:, :-1] @ values
-            total += float(left @ left)
-    return max(total, TINY)
+        for part in np.array_split(rows_with_measured, folds, axis=1):
+            test_rows = part.reshape(-1, rows_with_measured.shape[2])
+            training = whole - test_rows.T @ test_rows
+            values = solve_scaled(
+                training[:-1, :-1] + prior, training[:-1, -1] + offset
+            )
+            errors = test_rows[:, -1] - test_rows[:, :-1] @ values
+            total += float(errors @ errors)
+    return max(total, SMALLEST_POSITIVE)
 
 
-def _squares(rows: Array) -> Array:
-    """Products of columns, (q, q), of rows (C, R, q)."""
+def _gram_matrix(rows: Array) -> Array:
+    """Products of columns, (q, q), summed over channels and rows (C, R, q)."""
     flat = rows.reshape(-1, rows.shape[2])
     return flat.T @ flat
 
@@ -62,17 +86,21 @@ def _squares(rows: Array) -> Array:
 def _weak_prior(
     whole: Array, counts: Sequence[int], variances: Array
 ) -> tuple[Array, Array]:
-    """Information before the seen rows, (p, p), and information times mean, (p,).
+    """Prior information matrix, (q, q), and information times mean, (q,).
+
+    The q variables are p unknowns, then coefficients of families. The prior of the unknowns is
+    centred on the solution from all rows and has WEAK_PRIOR_SHARE of its information. The prior of
+    the coefficients has mean zero and the given variances.
 
     Args:
-        whole: Products of all rows' columns and measurements, (p + 1, p + 1).
-        counts: Columns of the unknowns, and of each family.
-        variances: Of each family.
+        whole: Products of all rows' columns and measurements, (q + 1, q + 1).
+        counts: Number of columns of the unknowns, then of each family.
+        variances: Variance of each family's coefficients.
     """
     p = counts[0]
-    known = np.diag(np.concatenate([np.zeros(p), 1 / np.repeat(variances, counts[1:])]))
-    start = scaled_solve(whole[:-1, :-1] + known, whole[:-1, -1])[:p]
-    offset = np.zeros(len(known))
-    offset[:p] = WEAK * whole[:p, :p] @ start
-    known[:p, :p] += WEAK * whole[:p, :p]
-    return known, offset
+    prior = np.diag(np.concatenate([np.zeros(p), 1 / np.repeat(variances, counts[1:])]))
+    mean = solve_scaled(whole[:-1, :-1] + prior, whole[:-1, -1])[:p]
+    offset = np.zeros(len(prior))
+    offset[:p] = WEAK_PRIOR_SHARE * whole[:p, :p] @ mean
+    prior[:p, :p] += WEAK_PRIOR_SHARE * whole[:p, :p]
+    return prior, offset

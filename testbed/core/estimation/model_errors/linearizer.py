@@ -1,4 +1,4 @@
-"""Linearizations of a recording, window by window."""
+"""Linearisation of a recording about an estimate, window by window."""
 
 from __future__ import annotations
 
@@ -12,50 +12,50 @@ from scipy.ndimage import convolve1d
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.force_derivatives import force_derivatives
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.model_errors.estimates import Sizes
+from testbed.core.estimation.model_errors.estimates import SignalSizes
 from testbed.core.estimation.model_errors.linearization import Linearization
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.regression.passes import motion_rows, noise_square
+from testbed.core.estimation.regression.normal_equations import SMALLEST_POSITIVE
+from testbed.core.estimation.regression.passes import motion_rows, noise_variance
 from testbed.core.estimation.regression.windows import (
     ROW_ATTENUATION,
     Plan,
     low_pass,
 )
-from testbed.core.kernel.numpy_engine import motion_of
-from testbed.core.kernel.records import Signals
-from testbed.core.parameters.symbols import to_barycentric
-from testbed.core.robot.shafts import shares
+from testbed.core.kernel.numpy_engine import window_motion
+from testbed.core.kernel.records import SignalWindow
+from testbed.core.parameters.symbols import barycentric_from_standard
+from testbed.core.robot.shafts import transmission_matrix
 from testbed.sensors.predicted_wrench import RowFilter
 
-LENGTH = 0.2
-"""Typical of a body [m]."""
+TYPICAL_LENGTH = 0.2
+"""Typical length of a body [m]."""
 
-TYPICAL = np.array([1.0, *[LENGTH] * 3, *[LENGTH**2] * 6])
-"""Standard parameters of a body beside its mass."""
+TYPICAL_BODY = np.array([1.0, *[TYPICAL_LENGTH] * 3, *[TYPICAL_LENGTH**2] * 6])
+"""Typical standard parameters of a body of mass one."""
 
-FINE = 160.0
-"""Instants a second at which positions are differentiated, at least: fewer fold noise."""
+MIN_FINE_RATE = 160.0
+"""Smallest rate of the instants at which positions are differentiated [Hz], against aliasing."""
 
-SIGMAS = 3.0
-"""Of the velocities' noise, within which a sense is doubtful."""
+VELOCITY_SIGMAS = 3.0
+"""Multiple of the velocity noise's sigma below which the sign of a velocity is uncertain."""
 
-CLEAR = 10.0
-"""Times the noise's spectrum that a motion's is where it counts."""
+MIN_SPECTRAL_RATIO = 10.0
+"""Smallest ratio of the position's spectrum to the noise's at which it is kept."""
 
-SMOOTH = 10.0
-"""Cutoff of the filter on the motion of the columns [Hz]."""
+SMOOTHING_CUTOFF = 10.0
+"""Cutoff of the low-pass filter on the motion in the columns [Hz]."""
 
 
 @dataclass(frozen=True, eq=False)
-class States:
+class WindowStates:
     """Motion around the rows of a window.
 
     Attributes:
-        fine: At close instants.
-        smooth: Low-passed, at the instants of the row filter.
-        time: Of these, from the middle of the recording, (m,) [s].
-        noise: Density of the encoders' white noise, (n,) [rad^2 s or m^2 s].
+        fine: Motion at closely spaced instants, at a rate of at least MIN_FINE_RATE.
+        smooth: Low-passed motion at the m instants of the row filter.
+        time: Time of the smooth motion from the middle of the recording, (m,) [s].
+        noise: Spectral density of the encoders' white noise, (n,) [rad^2 s or m^2 s].
     """
 
     fine: Motion
@@ -64,22 +64,25 @@ class States:
     noise: Array
 
     @property
-    def uncertain(self) -> Array:
-        """Speeds below which noise hides the sense of the motion, (n,) [rad/s or m/s]."""
-        every = round(float((self.smooth.t[1] - self.smooth.t[0]) / self.fine.t[1]))
-        left = self.fine.qd[::every] - self.smooth.qd
-        return np.asarray(SIGMAS * np.sqrt((left**2).mean(axis=0)))
+    def speed_threshold(self) -> Array:
+        """Speeds below which noise hides the sign of the velocity, (n,) [rad/s or m/s].
+
+        The threshold is VELOCITY_SIGMAS times the rms difference of fine and smooth velocity.
+        """
+        stride = round(float((self.smooth.t[1] - self.smooth.t[0]) / self.fine.t[1]))
+        residual = self.fine.qd[::stride] - self.smooth.qd
+        return np.asarray(VELOCITY_SIGMAS * np.sqrt((residual**2).mean(axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Linearizer:
-    """Robot and estimate about which model errors are linear.
+    """Robot, recording and estimate about which model errors are linearised.
 
     Attributes:
         problem: Robot and recording.
-        values: Of the unknowns, (p,).
-        plan: The rows.
-        filter: From instants to rows.
+        values: Unknowns, (p,).
+        plan: Plan of the rows.
+        filter: Filter from instants to rows.
     """
 
     problem: Problem
@@ -88,96 +91,119 @@ class Linearizer:
     filter: RowFilter
 
     @cached_property
-    def step(self) -> int:
-        """Samples from one close instant to the next."""
+    def fine_step(self) -> int:
+        """Number of samples between instants of the fine motion.
+
+        It is the largest divisor of the row filter's stride with a rate of at least MIN_FINE_RATE;
+        1 without such a divisor.
+        """
         rate, stride = self.plan.source.rate, self.filter.stride
         steps = [
-            d for d in range(1, stride + 1) if stride % d == 0 and FINE * d <= rate
+            d
+            for d in range(1, stride + 1)
+            if stride % d == 0 and MIN_FINE_RATE * d <= rate
         ]
         return max(steps, default=1)
 
     def first_sample(self, row: int) -> int:
-        """Sample of the first instant around a row."""
-        return row * self.plan.step + self.plan.reach - self.filter.reach
+        """Index of the first sample that the filter of a row uses."""
+        return row * self.plan.step + self.plan.reach - self.filter.half_width
 
-    def states(self, signals: Signals, row: int) -> States:
-        """Motion around a window's rows.
+    def states(self, signals: SignalWindow, row: int) -> WindowStates:
+        """Fine and smooth motion around a window's rows.
+
+        Smooth positions result from a Wiener filter and a low-pass at SMOOTHING_CUTOFF; velocities
+        and accelerations are their finite differences. Sensed velocities are taken as noise-free,
+        in which case the smooth motion is the fine motion.
 
         Args:
-            signals: The window's.
-            row: Number of its first row.
+            signals: Signals of the window.
+            row: Index of the window's first row.
         """
         rate = self.plan.source.rate
-        begin = signals.start - self.filter.reach
-        span = (signals.number - 1) * signals.step + 2 * self.filter.reach
-        fine = motion_of(signals, begin, span // self.step + 1, self.step, rate)
-        every = self.filter.stride // self.step
+        begin = signals.start - self.filter.half_width
+        span = (signals.row_count - 1) * signals.step + 2 * self.filter.half_width
+        fine = window_motion(
+            signals, begin, span // self.fine_step + 1, self.fine_step, rate
+        )
+        stride = self.filter.stride // self.fine_step
         middle = (self.plan.source.samples - 1) / 2
-        time = fine.t[::every] + (self.first_sample(row) - middle) / rate
-        if len(signals.velocity):  # sensed, without noise
-            return States(fine, fine[::every], time, np.zeros(fine.q.shape[1]))
-        noise = _noise_square(signals.position) / rate
-        close = rate / self.step
-        q = _denoised(fine.q, noise * close)
-        weights = low_pass(close, min(SMOOTH, close / 4), ROW_ATTENUATION)
+        time = fine.t[::stride] + (self.first_sample(row) - middle) / rate
+        if len(signals.velocity):  # velocities are sensed, without noise
+            return WindowStates(fine, fine[::stride], time, np.zeros(fine.q.shape[1]))
+        noise = _noise_variances(signals.position) / rate
+        fine_rate = rate / self.fine_step
+        q = _wiener_filtered(fine.q, noise * fine_rate)
+        weights = low_pass(
+            fine_rate, min(SMOOTHING_CUTOFF, fine_rate / 4), ROW_ATTENUATION
+        )
         q = convolve1d(q, weights, axis=0, mode="nearest")
-        qd = np.gradient(q, 1 / close, axis=0)
-        qdd = np.gradient(qd, 1 / close, axis=0)
-        smooth = Motion(*(x[::every] for x in (fine.t, q, qd, qdd)))
-        return States(fine, smooth, time, noise)
+        qd = np.gradient(q, 1 / fine_rate, axis=0)
+        qdd = np.gradient(qd, 1 / fine_rate, axis=0)
+        smooth = Motion(*(x[::stride] for x in (fine.t, q, qd, qdd)))
+        return WindowStates(fine, smooth, time, noise)
 
-    def linearization(self, states: States, sizes: Sizes | None) -> Linearization:
+    def linearization(
+        self, states: WindowStates, sizes: SignalSizes | None
+    ) -> Linearization:
         """Predicted forces of a window and their derivatives.
 
+        Derivatives with respect to joint frames and base are included for a fixed base without a
+        force sensor in the robot.
+
         Args:
-            states: The window's.
-            sizes: Of the recording; None for those of the window.
+            states: Motion of the window.
+            sizes: Signal magnitudes of the recording; None for those of the window.
         """
         layout, tree = self.problem.layout, self.problem.layout.tree
         frames = not tree.lead and tree.sensor is None
         forces = force_derivatives(
-            tree, states.smooth, self._bodies, layout.gravity, frames
+            tree, states.smooth, self._barycentric_parameters, layout.gravity, frames
         )
-        own = self._joint_torques(states.smooth)
+        joint_torque = self._joint_torques(states.smooth)
         return Linearization(
             tree,
             self.problem.method,
             states.smooth,
             forces,
-            own,
+            joint_torque,
             states.time,
-            sizes or _sizes(states, forces.wrench, forces.torque + own),
+            sizes or _signal_sizes(states, forces.wrench, forces.torque + joint_torque),
             self.filter,
         )
 
-    def unknowns(self, motion: Motion) -> Array:
-        """Columns of the unknowns at instants, (m, C, p).
+    def unknown_columns(self, motion: Motion) -> Array:
+        """Regressor columns of the unknowns at the instants of a motion, (m, C, p).
 
         Args:
-            motion: Of the instants.
+            motion: Motion at m instants.
         """
         layout = self.plan.layout
         rows = motion_rows(self.plan, motion.q, motion.qd, motion.qdd)
-        return layout.combined(rows, layout.basis).transpose(1, 0, 2)
+        return layout.combine_columns(rows, layout.basis).transpose(1, 0, 2)
 
     @cached_property
-    def _bodies(self) -> Array:
-        """Barycentric parameters, (n, 10), that have the minimal ones and are small else.
+    def _barycentric_parameters(self) -> Array:
+        """Minimum-norm barycentric parameters for the estimated minimal parameters, (n, 10).
 
-        By another frame of a joint, those that no motion shows become sums with others.
+        The norm is that of the standard parameters relative to TYPICAL_BODY. Minimising it keeps
+        unidentifiable parameters small, which enter the derivatives with respect to joint frames.
         """
         minimal, tree = self.problem.minimal, self.problem.tree
-        forms = minimal.standard_matrix * np.tile(TYPICAL, tree.n)
+        forms = minimal.standard_matrix * np.tile(TYPICAL_BODY, tree.n)
         values = self.values[: minimal.count]
-        least = np.linalg.lstsq(forms, values, rcond=None)[0].reshape(tree.n, 10)
-        return np.asarray(to_barycentric(tree, TYPICAL * least))
+        relative = np.linalg.lstsq(forms, values, rcond=None)[0].reshape(tree.n, 10)
+        return np.asarray(barycentric_from_standard(tree, TYPICAL_BODY * relative))
 
     def _joint_torques(self, motion: Motion) -> Array:
-        """Torques of the joints' own terms, (m, n) [N m or N]; not those by other signals."""
+        """Torques of the joint terms along a motion, (m, n) [N m or N]; zero without joint terms.
+
+        Terms that depend on other signals, such as temperature or load, are left out.
+        """
         torques, drives = np.zeros_like(motion.q), self.problem.drives
         if drives is None:
             return torques
-        turn = shares(self.problem.tree)
+        turn = transmission_matrix(self.problem.tree)
         qd, qdd = motion.qd @ turn.T, motion.qdd @ turn.T
         values = self.values[self.problem.minimal.count :]
         for term, value in zip(drives.terms, values, strict=True):
@@ -187,63 +213,78 @@ class Linearizer:
         return torques
 
 
-def _noise_square(position: Array) -> Array:
-    """Mean square of encoders' white noise, (n,), by differences of positions (M, n)."""
-    return np.array([noise_square(column) for column in position.T])
-
-
-def _denoised(position: Array, noise: Array) -> Array:
-    """Positions, (m, n), by Wiener's filter: where their spectrum is noise it is zero.
-
-    Columns of model errors hold accelerations of accelerations; residuals hold the same noise.
+def _noise_variances(position: Array) -> Array:
+    """Variance of each encoder's white noise, from differences of positions, (n,).
 
     Args:
-        position: At close instants.
-        noise: Mean square of white noise at that rate, (n,).
+        position: Positions, (M, n) [rad or m].
+    """
+    return np.array([noise_variance(column) for column in position.T])
+
+
+def _wiener_filtered(position: Array, noise: Array) -> Array:
+    """Positions after a Wiener filter, without frequencies dominated by noise, (m, n).
+
+    Frequencies with less than MIN_SPECTRAL_RATIO times the power of the noise are removed, since
+    noise in differentiated positions would correlate columns of model errors with the residuals.
+
+    Args:
+        position: Positions at closely spaced instants, (m, n) [rad or m].
+        noise: Variance of white noise at that rate, (n,).
 
     Source    [Wie49]
     """
     m = len(position)
     drift = np.linspace(position[0], position[-1], m)
-    odd = np.concatenate([position - drift, -(position - drift)[-2:0:-1]])
-    spectrum = np.fft.rfft(odd, axis=0)
-    square = np.abs(spectrum) ** 2 / len(odd)
-    gain = 1 - noise / np.maximum(square, TINY)
-    gain[square < CLEAR * noise] = 0.0
-    return np.asarray(np.fft.irfft(gain * spectrum, len(odd), axis=0)[:m] + drift)
+    extended = np.concatenate([position - drift, -(position - drift)[-2:0:-1]])
+    spectrum = np.fft.rfft(extended, axis=0)
+    square = np.abs(spectrum) ** 2 / len(extended)
+    gain = 1 - noise / np.maximum(square, SMALLEST_POSITIVE)
+    gain[square < MIN_SPECTRAL_RATIO * noise] = 0.0
+    return np.asarray(np.fft.irfft(gain * spectrum, len(extended), axis=0)[:m] + drift)
 
 
-def _sizes(states: States, wrench: Array, torque: Array) -> Sizes:
-    """Sizes of the signals of a window."""
+def _signal_sizes(states: WindowStates, wrench: Array, torque: Array) -> SignalSizes:
+    """Greatest magnitudes of a window's signals.
+
+    Args:
+        states: Motion of the window.
+        wrench: Base wrench, (m, 6) [N, N m].
+        torque: Joint torques, (m, n) [N m or N].
+    """
     motion = states.smooth
     middle = motion.q.mean(axis=0)
-    return Sizes(
-        torque=_greatest(torque),
-        wrench=_greatest(wrench),
-        speed=_greatest(motion.qd),
-        acceleration=_greatest(motion.qdd),
-        range=_greatest(motion.q - middle),
+    return SignalSizes(
+        torque=_peak_magnitudes(torque),
+        wrench=_peak_magnitudes(wrench),
+        speed=_peak_magnitudes(motion.qd),
+        acceleration=_peak_magnitudes(motion.qdd),
+        range=_peak_magnitudes(motion.q - middle),
         middle=middle,
         duration=float(np.abs(states.time).max()),
     )
 
 
-def _greatest(signal: Array) -> Array:
-    """Greatest magnitude of each column, at least TINY."""
-    return np.asarray(np.maximum(np.abs(signal).max(axis=0), TINY))
+def _peak_magnitudes(signal: Array) -> Array:
+    """Greatest magnitude of each column, at least SMALLEST_POSITIVE."""
+    return np.asarray(np.maximum(np.abs(signal).max(axis=0), SMALLEST_POSITIVE))
 
 
-def with_sizes(windows: Sequence[Linearization]) -> tuple[Linearization, ...]:
-    """Linearizations of windows with the sizes of all.
+def with_common_sizes(windows: Sequence[Linearization]) -> tuple[Linearization, ...]:
+    """Linearisations with the signal magnitudes of the whole recording.
+
+    They are the largest of the windows' magnitudes; mean positions are averaged over the windows.
 
     Args:
-        windows: Of one recording.
+        windows: Linearisations of the recording's windows.
     """
-    each = [at.sizes for at in windows]
+    window_sizes = [linearization.sizes for linearization in windows]
     largest = {
-        field.name: np.max([getattr(sizes, field.name) for sizes in each], axis=0)
-        for field in fields(Sizes)
+        field.name: np.max(
+            [getattr(sizes, field.name) for sizes in window_sizes], axis=0
+        )
+        for field in fields(SignalSizes)
     }
-    middle = np.mean([sizes.middle for sizes in each], axis=0)
-    sizes = Sizes(**{**largest, "middle": middle})
-    return tuple(replace(at, sizes=sizes) for at in windows)
+    middle = np.mean([sizes.middle for sizes in window_sizes], axis=0)
+    sizes = SignalSizes(**{**largest, "middle": middle})
+    return tuple(replace(linearization, sizes=sizes) for linearization in windows)

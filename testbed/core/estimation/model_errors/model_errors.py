@@ -1,9 +1,10 @@
-"""Model errors of an estimate: what they are, what they do to it, and recordings without them.
+"""Model errors in the residuals of an estimate: search, effect and correction.
 
-Of families that are named the estimate is that of the recording without their likeliest part, and
-a part of the correction is doubted; of others it stays, and its covariance counts what they may be.
+The most likely errors of the corrected families (types of model error) are subtracted from the
+recording, and a part of this correction is counted as uncertainty. Errors of other families stay in
+the measurements, and the covariance includes their possible effect.
 
-Source    [KO01] for doubt about a model counted in the estimate
+Source    [KO01] for the uncertainty of a model counted in the estimate
 """
 
 from __future__ import annotations
@@ -18,18 +19,17 @@ from scipy.interpolate import CubicSpline
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
 from testbed.core.base.gaussian import Gaussian
-from testbed.core.base.stages import stage
-from testbed.core.estimation.estimate import SIGNAL_OF
+from testbed.core.base.stages import timed_stage
 from testbed.core.estimation.model_errors.catalogue import model_error_families
 from testbed.core.estimation.model_errors.error_rows import (
-    PER_CUTOFF,
+    ROWS_PER_CUTOFF,
     ErrorRows,
     Indices,
     error_rows,
     linearizer_of,
 )
 from testbed.core.estimation.model_errors.estimates import (
-    KNOWN,
+    MIN_RELATIVE_VARIANCE,
     ModelErrorCorrection,
     ModelErrorEffect,
     ModelErrorEstimate,
@@ -41,73 +41,80 @@ from testbed.core.estimation.model_errors.restricted_likelihood import (
     RegressionRows,
 )
 from testbed.core.estimation.model_errors.selection import (
-    SURE,
+    MIN_NAMED_GAIN,
     Selection,
     Selector,
 )
 from testbed.core.estimation.model_errors.sensor_family import SensorFamily
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import TINY, scaled_solve
+from testbed.core.estimation.regression.normal_equations import (
+    SMALLEST_POSITIVE,
+    solve_scaled,
+)
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.tree import Tree
 from testbed.sensors.catalogue import estimable_errors
 
-DOUBT = 0.3
-"""Part of a correction that is doubted."""
+CORRECTION_DOUBT = 0.3
+"""Part of a correction that counts as its standard deviation."""
 
-FEWEST = 50
-"""Rows of a channel; of fewer nothing is sought."""
+MIN_ROWS = 50
+"""Smallest number of rows in some channel for a search."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """Families that the residuals of an estimate show, and what they do to it.
+    """Families (types) of model errors found in the residuals of an estimate, and their effect.
 
     Attributes:
-        each: What each is, the clearest first.
-        correction: What they make in the measurements.
-        effect: On the unknowns.
-        taken: Kinds that are taken out of the measurements.
-        values: Of the unknowns, about which it is linear, (p,).
+        estimates: Estimate of each family, in order of decreasing gain.
+        correction: Coefficients of the families.
+        effect: Effect on the unknowns.
+        corrected_kinds: Kinds that are subtracted from the measurements.
+        values: Unknowns about which the errors are linearised, (p,).
     """
 
-    each: tuple[ModelErrorEstimate, ...]
+    estimates: tuple[ModelErrorEstimate, ...]
     correction: ModelErrorCorrection
     effect: ModelErrorEffect
-    taken: tuple[str, ...]
+    corrected_kinds: tuple[str, ...]
     values: Array
 
     @property
-    def lasting(self) -> ModelErrorCorrection | None:
-        """The part that is taken out, of other motions, too; None for nothing."""
-        return self.correction.of(self.taken) if self.taken else None
+    def applied_correction(self) -> ModelErrorCorrection | None:
+        """Correction restricted to `corrected_kinds`; None if no family is corrected."""
+        return (
+            self.correction.for_families(self.corrected_kinds)
+            if self.corrected_kinds
+            else None
+        )
 
 
-def signal_of(
-    correction: ModelErrorCorrection, at: Linearization
+def model_error_signal(
+    correction: ModelErrorCorrection, point: Linearization
 ) -> tuple[Array, Array]:
-    """What model errors make in the measurements, (m, C), and columns, (m, C, k) [N, N m].
+    """Signal of model errors in the measurements, (m, C), and columns, (m, C, k) [N, N m].
 
     Args:
-        correction: Their coefficients.
-        at: Motion and forces with the sizes of the correction.
+        correction: Coefficients of the errors.
+        point: Motion and forces, with the signal magnitudes of the correction.
     """
     by_kind = {each.kind: each for each in model_error_families()}
-    every = []
-    for kind, kept in zip(correction.families, correction.columns, strict=True):
-        every.append(by_kind[kind].some(at, kept))
-    columns = np.concatenate(every, axis=2)
+    blocks = []
+    for kind, indices in zip(correction.families, correction.columns, strict=True):
+        blocks.append(by_kind[kind].selected_columns(point, indices))
+    columns = np.concatenate(blocks, axis=2)
     return np.asarray(columns @ correction.coefficients), columns
 
 
-class WithoutModelErrors(DerivedSource):
-    """Recording without model errors, joints in the order of the tree.
+class ModelErrorFreeSource(DerivedSource):
+    """Recording with model errors subtracted and joints in the order of the tree.
 
     Attributes:
-        doubt: Mean square of what the coefficients' spread makes in each channel, beside what it
-            makes of the unknowns, (C,).
+        doubt: Mean variance of the subtracted signal in each channel, without the part that the
+            unknowns compensate (`ModelErrorCorrection.gain`), (C,) [N^2, (N m)^2].
     """
 
     def __init__(
@@ -117,127 +124,161 @@ class WithoutModelErrors(DerivedSource):
         values: Array,
         correction: ModelErrorCorrection,
     ) -> None:
-        """Signals of the errors at instants, between which they are interpolated.
+        """Compute the errors at the instants from which they are interpolated.
 
         Args:
             problem: Robot and method.
-            source: The recording.
-            values: Of the unknowns, (p,), about which the errors are linear.
-            correction: Their coefficients.
+            source: Recording to be corrected.
+            values: Unknowns about which the errors are linearised, (p,).
+            correction: Coefficients of the errors.
         """
         super().__init__(source, source.samples, source.rate)
         self.names, self.segments = problem.tree.names, source.segments
         self._source, self._tree = source, problem.tree
-        self._signal = SIGNAL_OF[problem.method]
-        plan = problem.passes(1, source, whole=True, per_cutoff=PER_CUTOFF).plan
+        self._signal = problem.method
+        plan = problem.passes(1, source, whole=True, per_cutoff=ROWS_PER_CUTOFF).plan
         linearizer = linearizer_of(problem, plan, values)
         times, signals, squares = list[Indices](), list[Array](), list[Array]()
         for window in plan.windows():
             part = source.part(window.first, window.last)
             states = linearizer.states(plan.signals(part, window), window.row)
-            at = linearizer.linearization(states, correction.sizes)
-            # instants before the first row of a window belong to the window before
-            first = linearizer.filter.reach // linearizer.filter.stride * bool(times)
+            point = linearizer.linearization(states, correction.sizes)
+            # instants before the first row of a window belong to the previous window
+            first = (
+                linearizer.filter.half_width // linearizer.filter.stride * bool(times)
+            )
             begin = linearizer.first_sample(window.row)
             count = states.smooth.samples
             times.append(begin + linearizer.filter.stride * np.arange(first, count))
-            signal, columns = signal_of(correction, at)
+            signal, columns = model_error_signal(correction, point)
             signals.append(signal[first:])
-            columns = columns - linearizer.unknowns(at.motion) @ correction.gain
+            columns = (
+                columns - linearizer.unknown_columns(point.motion) @ correction.gain
+            )
             squares.append(((columns @ correction.spread) * columns).sum(axis=2))
         self.doubt = np.concatenate(squares).mean(axis=0)
-        self._at, self._errors = _in_turn(times, signals)
+        self._instants, self._errors = _merged_windows(times, signals)
 
     def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1, without the truth."""
+        """Corrected samples `first` to `last` - 1, without the truth.
+
+        Errors are interpolated by a cubic spline and are constant before the first and after the
+        last instant.
+        """
         recording = self._source.part(first, last).ordered(self._tree)
-        samples = np.clip(np.arange(first, last), self._at[0], self._at[-1])
-        errors = CubicSpline(self._at, self._errors)(samples)
-        changed: Any = {self._signal: recording.measured(self._signal) - errors}
-        return replace(recording, **changed)
+        samples = np.clip(np.arange(first, last), self._instants[0], self._instants[-1])
+        errors = CubicSpline(self._instants, self._errors)(samples)
+        changes: Any = {self._signal: recording.measured(self._signal) - errors}
+        return replace(recording, **changes)
 
 
-def _in_turn(
+def _merged_windows(
     times: Sequence[Indices], signals: Sequence[Array]
 ) -> tuple[Indices, Array]:
-    """Instants in order, each once, and signals; of two windows the later one's."""
-    at = np.concatenate(times[::-1])
-    at, first = np.unique(at, return_index=True)
-    return at, np.concatenate(signals[::-1])[first]
+    """Sorted unique instants and their signals; later windows take precedence.
+
+    Args:
+        times: Sample indices of each window, (m,).
+        signals: Signals of each window, (m, C).
+    """
+    instants = np.concatenate(times[::-1])
+    instants, first = np.unique(instants, return_index=True)
+    return instants, np.concatenate(signals[::-1])[first]
 
 
-@stage("model errors")
+@timed_stage("model errors")
 def find_model_errors(
     problem: Problem,
     source: Source,
     values: Array,
-    estimated: Collection[str] = (),
+    estimated_terms: Collection[str] = (),
     prior: Gaussian | None = None,
-    among: Collection[str] | None = None,
+    kinds: Collection[str] | None = None,
 ) -> ModelErrors | None:
-    """Model errors that the residuals of an estimate show; None for none.
+    """Find the model errors in the residuals of an estimate; None if there are none.
+
+    Families are selected by the restricted likelihood (`Selector`). The result is also None if
+    every channel has fewer than MIN_ROWS rows.
 
     Args:
-        problem: Its terms and filters are chosen; rows are filtered.
-        source: The recording, errors of the sensors taken back.
-        values: Of the unknowns, by the estimate, (p,).
-        estimated: Terms of sensors' errors that are estimated.
-        prior: Of the first unknowns, before the data; None for none.
-        among: Kinds that are sought; default all.
+        problem: Problem with chosen terms and filters; rows are filtered.
+        source: Recording corrected for sensor errors.
+        values: Estimated unknowns, (p,).
+        estimated_terms: Terms of the sensor errors that are estimated with the unknowns.
+        prior: Prior of the first unknowns; None for no prior.
+        kinds: Kinds of families to search; default all.
     """
-    known = _prior_rows(prior, len(values))
-    rows = error_rows(problem, source, values, known)
-    if rows.used.sum(axis=1).max() < FEWEST:
+    prior_rows = _prior_rows(prior, len(values))
+    rows = error_rows(problem, source, values, prior_rows)
+    if rows.row_mask.sum(axis=1).max() < MIN_ROWS:
         return None
     families = [
         family
         for family in model_error_families()
         if problem.method in family.methods
-        and family.kind not in estimated
-        and (among is None or family.kind in among)
+        and family.kind not in estimated_terms
+        and (kinds is None or family.kind in kinds)
         and family.applies(rows.linearizations[0])
     ]
-    beside = [SensorFamily(e) for e in estimable_errors() if e.term in estimated]
-    own = [each for each in beside if problem.method in each.methods]
-    given, kept = _beside(rows, families, own, known)
-    selection = Selector(given, families, rows.encoder_share).select()
+    sensor_families = [
+        SensorFamily(e) for e in estimable_errors() if e.term in estimated_terms
+    ]
+    measured_errors = [
+        each for each in sensor_families if problem.method in each.methods
+    ]
+    regression, alternatives = _regression_rows(
+        rows, families, measured_errors, prior_rows
+    )
+    selection = Selector(regression, families, rows.encoder_share).select()
     if not selection.variances:
         return None
-    return _model_errors(rows, families, selection, kept)
+    return _model_errors(rows, families, selection, alternatives)
 
 
-def _beside(
+def _regression_rows(
     rows: ErrorRows,
     families: Sequence[ModelErrorFamily],
-    own: Sequence[ModelErrorFamily],
-    known: Array,
+    sensor_errors: Sequence[ModelErrorFamily],
+    prior_rows: Array,
 ) -> tuple[RegressionRows, dict[str, Indices]]:
-    """White rows of unknowns, among them those of sensors, and families; alternatives kept.
+    """Whitened rows of unknowns, sensor errors and families, and column indices of alternatives.
+
+    Estimated sensor errors are unknowns that follow the robot unknowns and have no prior.
 
     Args:
-        rows: Of the robot's unknowns.
-        families: That are sought.
-        own: Sensors' errors that are estimated.
-        known: Of the robot's unknowns before the data, (r, p + 1).
+        rows: Rows of the robot's unknowns.
+        families: Families to search.
+        sensor_errors: Families of the sensor errors that are estimated.
+        prior_rows: Prior rows of the robot's unknowns, (r, p + 1).
     """
-    columns, kept = rows.families([*families, *own])
-    others = [columns.pop(each.kind) for each in own]
-    unknowns = np.concatenate([rows.whitened(rows.columns), *others], axis=2)
-    more = unknowns.shape[2] + 1 - known.shape[1]
-    known = np.insert(known, [-1] * more, 0.0, axis=1)
-    measured = rows.whitened(rows.measured[..., None])[..., 0]
-    used = np.asarray(unknowns.any(axis=2))
-    return RegressionRows(unknowns, measured, used, columns, known), kept
+    columns, alternatives = rows.family_columns([*families, *sensor_errors])
+    others = [columns.pop(each.kind) for each in sensor_errors]
+    unknowns = np.concatenate([rows.whitened_rows(rows.columns), *others], axis=2)
+    missing = unknowns.shape[2] + 1 - prior_rows.shape[1]
+    prior_rows = np.insert(prior_rows, [-1] * missing, 0.0, axis=1)
+    measured = rows.whitened_rows(rows.measured[..., None])[..., 0]
+    row_mask = np.asarray(unknowns.any(axis=2))
+    return RegressionRows(
+        unknowns, measured, row_mask, columns, prior_rows
+    ), alternatives
 
 
 def _prior_rows(prior: Gaussian | None, count: int) -> Array:
-    """Rows of unit noise, (r, p + 1), that know as much as a prior of the first unknowns."""
+    """Rows of unit noise equivalent to a prior of the first unknowns, (r, p + 1).
+
+    The last column is the right-hand side. Directions with a relative variance below
+    MIN_RELATIVE_VARIANCE have no row; r is zero without a prior.
+
+    Args:
+        prior: Prior of the first unknowns; None for no prior.
+        count: Number of unknowns, p.
+    """
     if prior is None:
         return np.zeros((0, count + 1))
-    scale = np.sqrt(np.maximum(np.diagonal(prior.covariance), TINY))
+    scale = np.sqrt(np.maximum(np.diagonal(prior.covariance), SMALLEST_POSITIVE))
     sizes, axes = eigh(prior.covariance / np.outer(scale, scale))
-    seen = sizes > KNOWN
-    root = (axes[:, seen] / np.sqrt(sizes[seen])).T / scale
+    uncertain = sizes > MIN_RELATIVE_VARIANCE
+    root = (axes[:, uncertain] / np.sqrt(sizes[uncertain])).T / scale
     rows = np.zeros((len(root), count + 1))
     rows[:, : len(scale)], rows[:, -1] = root, root @ prior.values
     return rows
@@ -247,13 +288,22 @@ def _model_errors(
     rows: ErrorRows,
     families: Sequence[ModelErrorFamily],
     selection: Selection,
-    kept: Mapping[str, Indices],
+    alternatives: Mapping[str, Indices],
 ) -> ModelErrors:
-    """Estimates of the selected families."""
+    """Assemble estimates, correction and effect of the selected families.
+
+    Args:
+        rows: Rows of the robot's unknowns.
+        families: Families that were searched.
+        selection: Selected families.
+        alternatives: Column indices of the best alternatives, keyed by kind.
+    """
     by_kind, tree = {each.kind: each for each in families}, rows.linearizer.problem.tree
-    correction = _correction(rows, selection, kept)
+    correction = _correction(rows, selection, alternatives)
     count = rows.columns.shape[2]
-    effect = ModelErrorEffect(correction.spread, *_reduced(selection.products, count))
+    effect = ModelErrorEffect(
+        correction.spread, *_marginal_information(selection.products, count)
+    )
     return ModelErrors(
         tuple(_estimate_of(selection, by_kind[kind], tree) for kind in selection.gains),
         correction,
@@ -264,30 +314,46 @@ def _model_errors(
 
 
 def _correction(
-    rows: ErrorRows, selection: Selection, kept: Mapping[str, Indices]
+    rows: ErrorRows, selection: Selection, alternatives: Mapping[str, Indices]
 ) -> ModelErrorCorrection:
-    """Coefficients of the selected families; zero of those that are not taken out."""
+    """Coefficients of the selected families; zero for uncorrected families.
+
+    For families with a gain below MIN_NAMED_GAIN, `spread` contains the prior variances of their
+    coefficients. For other families, it contains the posterior covariance plus the outer product of
+    a vector with itself; the vector holds the coefficients of uncorrected families, and
+    CORRECTION_DOUBT times the coefficients of corrected families. `gain` is zero and is to be
+    replaced by the caller.
+
+    Args:
+        rows: Rows of the robot's unknowns.
+        selection: Selected families.
+        alternatives: Column indices of the best alternatives, keyed by kind.
+    """
     products, solution, kinds = (
         selection.products,
         selection.solution,
         tuple(selection.variances),
     )
     p = products.p
-    counts = [len(products.places[kind]) for kind in kinds]
-    taken = np.repeat([kind in selection.taken for kind in kinds], counts)
-    named = np.repeat([selection.gains[kind] >= SURE for kind in kinds], counts)
-    coefficients = np.where(taken, solution.values[p:], 0.0)
+    counts = [len(products.indices[kind]) for kind in kinds]
+    corrected = np.repeat([kind in selection.taken for kind in kinds], counts)
+    named = np.repeat(
+        [selection.gains[kind] >= MIN_NAMED_GAIN for kind in kinds], counts
+    )
+    coefficients = np.where(corrected, solution.values[p:], 0.0)
     variance = np.repeat([*selection.variances.values()], counts)
     spread = np.diag(np.where(named, 0.0, variance))
     spread += np.outer(named, named) * solution.covariance[p:, p:]
-    # of what is taken out a part is doubted, of what is named else all
-    doubted = np.where(named, solution.values[p:], 0.0) * np.where(taken, DOUBT, 1.0)
-    spread += np.outer(doubted, doubted)
+    # doubt of a part of the corrected coefficients, and of all other named coefficients
+    doubt = np.where(named, solution.values[p:], 0.0) * np.where(
+        corrected, CORRECTION_DOUBT, 1.0
+    )
+    spread += np.outer(doubt, doubt)
     none = np.zeros(0, np.intp)
     return ModelErrorCorrection(
         families=kinds,
         counts=tuple(counts),
-        columns=tuple(tuple(kept.get(kind, none).tolist()) for kind in kinds),
+        columns=tuple(tuple(alternatives.get(kind, none).tolist()) for kind in kinds),
         coefficients=coefficients,
         spread=spread,
         gain=np.zeros((rows.columns.shape[2], len(coefficients))),
@@ -295,34 +361,50 @@ def _correction(
     )
 
 
-def _reduced(products: ProjectedRows, count: int) -> tuple[Array, Array]:
-    """Information of data on the robot's unknowns, (p, p), and products with families, (p, k).
+def _marginal_information(products: ProjectedRows, count: int) -> tuple[Array, Array]:
+    """Information matrix of the robot unknowns, (p, p), and products with families, (p, k).
+
+    Sensor unknowns are eliminated by the Schur complement, and the prior information is subtracted.
 
     Args:
-        products: Of all unknowns and families.
-        count: p, of the robot's unknowns, which come first.
+        products: Projected rows of all unknowns and families.
+        count: Number of the robot's unknowns, p, which come first.
     """
-    known = products.rows.prior[:, :-1]
-    information, cross = products.information - known.T @ known, products.cross
+    prior = products.rows.prior[:, :-1]
+    information, cross = products.information - prior.T @ prior, products.cross
     if products.p == count:
         return information, cross
     own, others = slice(count), slice(count, None)
-    across = np.concatenate([information[others, own], cross[others]], axis=1)
-    moved = information[own, others] @ scaled_solve(information[others, others], across)
-    return information[own, own] - moved[:, own], cross[own] - moved[:, others]
+    block = np.concatenate([information[others, own], cross[others]], axis=1)
+    shift = information[own, others] @ solve_scaled(information[others, others], block)
+    return information[own, own] - shift[:, own], cross[own] - shift[:, others]
 
 
 def _estimate_of(
     selection: Selection, family: ModelErrorFamily, tree: Tree
 ) -> ModelErrorEstimate:
-    """What a family is to a person, and its coefficients."""
+    """Estimate of one selected family: texts for reports, gain, effect, coefficients.
+
+    Coefficients are sorted by decreasing ratio of magnitude to sigma.
+
+    Args:
+        selection: Selected families.
+        family: Family of the estimate.
+        tree: Kinematic tree of the robot.
+    """
     products, solution = selection.products, selection.solution
-    place = products.places[family.kind]
-    at = products.p + place
-    values, covariance = solution.values[at], solution.covariance[np.ix_(at, at)]
+    indices = products.indices[family.kind]
+    positions = products.p + indices
+    values, covariance = (
+        solution.values[positions],
+        solution.covariance[np.ix_(positions, positions)],
+    )
     effect, share = _effect(selection, family.kind, values)
     pairs = zip(
-        family.numbers(tree), values, np.sqrt(np.diagonal(covariance)), strict=False
+        family.coefficient_scales(tree),
+        values,
+        np.sqrt(np.diagonal(covariance)),
+        strict=False,
     )
     coefficients = [
         NuisanceEstimate(family.kind, name, unit, size * value, size * sigma)
@@ -336,7 +418,7 @@ def _estimate_of(
         remedy=family.remedy,
         gain=selection.gains[family.kind],
         physical=family.physical,
-        named=selection.gains[family.kind] >= SURE,
+        named=selection.gains[family.kind] >= MIN_NAMED_GAIN,
         corrected=family.kind in selection.taken,
         effect=effect,
         share=share,
@@ -344,16 +426,27 @@ def _estimate_of(
     )
 
 
-def _effect(selection: Selection, kind: str, part: Array) -> tuple[Array, Array]:
-    """Rms of a family's part beside the parameters, and over that of the residual, (C,) each."""
+def _effect(
+    selection: Selection, kind: str, coefficients: Array
+) -> tuple[Array, Array]:
+    """RMS of a family's signal in each channel, absolute and relative, (C,) each.
+
+    The signal's least-squares projection on the unknowns' columns is subtracted. The reference of
+    the relative value is the residual of a fit of the unknowns alone.
+
+    Args:
+        selection: Selected families.
+        kind: Kind of the family.
+        coefficients: Coefficients of the family, (k,).
+    """
     products = selection.products
     rows, total = products.rows, products.noise.total
-    signals = np.stack([rows.families[kind] @ part, rows.measured], axis=2)
-    scale = (rows.used / total[:, None])[..., None]
+    signals = np.stack([rows.families[kind] @ coefficients, rows.measured], axis=2)
+    scale = (rows.row_mask / total[:, None])[..., None]
     unknowns, scaled = (
         (each * scale).reshape(-1, each.shape[2]) for each in (rows.columns, signals)
     )
-    imitated = np.linalg.lstsq(unknowns, scaled, KNOWN)[0]
-    left = (signals - rows.columns @ imitated) * rows.used[..., None]
-    rms = np.sqrt((left**2).sum(axis=1) / rows.count[:, None])
-    return rms[:, 0], rms[:, 0] / np.maximum(rms[:, 1], TINY)
+    imitation = np.linalg.lstsq(unknowns, scaled, MIN_RELATIVE_VARIANCE)[0]
+    residual = (signals - rows.columns @ imitation) * rows.row_mask[..., None]
+    rms = np.sqrt((residual**2).sum(axis=1) / rows.count[:, None])
+    return rms[:, 0], rms[:, 0] / np.maximum(rms[:, 1], SMALLEST_POSITIVE)

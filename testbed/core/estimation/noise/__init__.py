@@ -1,5 +1,5 @@
-"""Coloured noise, errors in variables, standard deviations.
+"""Noise models of residuals: coloured noise, errors in variables, standard deviations.
 
-In: rows and residuals.
-Out: noise models, covariance, score tests.
+In: regression rows and residuals.
+Out: noise models, and the unknowns with calibrated covariance.
 """

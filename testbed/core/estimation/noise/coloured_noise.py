@@ -1,8 +1,9 @@
-"""Generalised least squares under coloured noise: unknowns, calibrated covariance, noise model.
+"""Generalised least squares under coloured noise, with calibrated covariance.
 
-Two passes after the one of the weighted solution: residuals with columns made orthonormal, so
-that nothing is lost to the equations' condition; then replicas of the noise. Unknowns of the
-instrument stand beside the robot's.
+Two passes over the rows follow the weighted least-squares solution. The first computes residuals
+with orthonormal columns, so that no accuracy is lost to the condition of the normal equations; the
+second calibrates the covariance by replicas of the noise. Sensor unknowns are estimated together
+with the robot unknowns.
 """
 
 from __future__ import annotations
@@ -17,20 +18,20 @@ from scipy import linalg, special
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
-from testbed.core.base.stages import stage
+from testbed.core.base.stages import timed_stage
 from testbed.core.estimation.noise.errors_in_variables import (
     AttenuationCorrection,
     PositionNoise,
     correct_attenuation,
 )
 from testbed.core.estimation.noise.fits import (
-    Fits,
+    FitFunction,
     NoiseFit,
     weighted_fits,
     whitened_fits,
 )
 from testbed.core.estimation.noise.lagged_products import (
-    HIGHEST,
+    MAX_AUTOREGRESSION_ORDER,
     LaggedProducts,
 )
 from testbed.core.estimation.noise.noise_model import (
@@ -39,68 +40,72 @@ from testbed.core.estimation.noise.noise_model import (
 from testbed.core.estimation.noise.replicas import Bootstrap, QuantizationSums
 from testbed.core.estimation.noise.whitening import (
     NuisanceColumns,
-    Products,
+    ProductsWithNoise,
     WhitenedRows,
     Whitening,
     whitening_of,
 )
 from testbed.core.estimation.regression import solvers
 from testbed.core.estimation.regression.normal_equations import (
-    TINY,
-    scaled_solve,
+    SMALLEST_POSITIVE,
+    solve_scaled,
     standard_deviations,
 )
 from testbed.core.estimation.regression.passes import Passes
 
 
-def constants(products: LaggedProducts) -> tuple[Array, Array]:
-    """Constants of the channels that can be distinguished from the parameters.
+def identifiable_constants(products: LaggedProducts) -> tuple[Array, Array]:
+    """Separate identifiable channel offsets from offsets collinear with the unknowns.
+
+    An eigenvector of the offsets' Schur complement in the normal matrix (lag zero) is identifiable
+    if its eigenvalue exceeds 1e-8 times the largest number of rows.
 
     Args:
-        products: Of unknowns' columns, residuals and ones.
+        products: Lagged products of the unknowns' columns, residuals and row indicators.
 
     Returns:
-        Combinations of the channels, (C, k), orthonormal; and unknowns that imitate the other
-        constants, (C - k, m).
+        Orthonormal channel combinations with an identifiable offset, (C, k), and combinations of
+            the unknowns equivalent to each remaining offset, (C - k, m).
     """
     squares, m = products.products[0], products.unknowns
     mixed = squares[:, :m, -1].T  # (m, C)
     counts = squares[:, -1, -1]
-    imitating = scaled_solve(squares[:, :m, :m].sum(axis=0), mixed)
-    rest = np.diag(counts) - mixed.T @ imitating
+    combinations = solve_scaled(squares[:, :m, :m].sum(axis=0), mixed)
+    rest = np.diag(counts) - mixed.T @ combinations
     spread, axes = eigh((rest + rest.T) / 2)
-    # share of a constant's square that the parameters leave of it if they cannot imitate it
+    # smallest part of a constant's square that is left if the parameters cannot imitate it
     identifiable = spread > 1e-8 * max(counts.max(initial=0.0), 1.0)
-    return axes[:, identifiable], (imitating @ axes[:, ~identifiable]).T
+    return axes[:, identifiable], (combinations @ axes[:, ~identifiable]).T
 
 
 @dataclass(frozen=True, eq=False)
 class AveragedFit:
-    """Average of the fits with and without constants of the channels.
+    """Average of the fits with and without constant channel offsets.
 
     Attributes:
-        fit: Unknowns, then constants; its noise is the likelier model's.
-        fits: Function that fitted either.
-        directions: Combinations of the channels that are constants, (C, k).
-        imitating: Unknowns that imitate other constants, (C - k, m).
-        correction: Of attenuation, without constants; None where columns have no noise.
-        weight: Of the model with constants, 0 to 1.
-        chi_square: Of the constants.
+        fit: Estimates of the unknowns, then of the constants; noise of the more likely model.
+        fit_function: Function that computed both fits.
+        directions: Combinations of the channels with a constant offset, (C, k).
+        collinear_unknowns: Combinations of unknowns equivalent to the other offsets, (C - k, m).
+        correction: Attenuation correction of the fit without constants; None if columns have no
+            noise.
+        weight: Weight of the model with constants, 0 to 1.
+        chi_square: Wald statistic of the constants.
     """
 
     fit: NoiseFit
-    fits: Fits
+    fit_function: FitFunction
     directions: Array
-    imitating: Array
+    collinear_unknowns: Array
     correction: AttenuationCorrection | None = None
     weight: float = 0.0
     chi_square: float = 0.0
 
-    def chance(self, factor: float) -> float:
-        """Probability of constants as large where there are none.
+    def p_value(self, factor: float) -> float:
+        """P-value of the constants from a chi-square test; 1 if there are no constants.
 
         Args:
-            factor: By which sigma is larger than the formula's.
+            factor: Ratio of the calibrated to the formal standard deviations.
         """
         count = self.directions.shape[1]
         return (
@@ -108,86 +113,100 @@ class AveragedFit:
         )
 
 
-@stage("fit under coloured noise")
+@timed_stage("fit under coloured noise")
 def averaged_fit(
-    products: LaggedProducts, noise: LaggedProducts | None, whole: bool
+    products: LaggedProducts, noise: LaggedProducts | None, gapless: bool
 ) -> AveragedFit:
-    """Unknowns by the fit that suits the rows, averaged over constants where rows suffice.
+    """Fit under coloured noise, averaged over models with and without constants.
+
+    Akaike weights are used. Constants require at least 50 rows, no gaps and an identifiable offset.
 
     Args:
-        products: Of unknowns' columns, residuals and ones.
-        noise: Products of noise in the same places; None for none.
-        whole: Whether no rows are missing.
+        products: Lagged products of the unknowns' columns, residuals and row indicators.
+        noise: Lagged products of the encoder noise in the columns; None for no correction.
+        gapless: True if no rows are missing.
     """
-    fits = whitened_fits if whole else weighted_fits
-    (alone,) = fits(products)
-    correction = None if noise is None else correct_attenuation(alone, noise)
+    fit_function = whitened_fits if gapless else weighted_fits
+    (plain,) = fit_function(products)
+    correction = None if noise is None else correct_attenuation(plain, noise)
     if correction is not None:
-        alone = correction.fit
-    none, imitating = (
+        plain = correction.fit
+    no_directions, collinear_unknowns = (
         np.zeros((products.products.shape[1], 0)),
         np.zeros((0, products.unknowns)),
     )
-    if whole:
-        directions, imitating = constants(products)
-    # rows below which constants are not looked for
-    if not whole or products.rows < 50 or not directions.shape[1]:
-        return AveragedFit(alone, fits, none, imitating, correction)
-    (beside,) = whitened_fits(products.with_constants(directions))
+    if gapless:
+        directions, collinear_unknowns = identifiable_constants(products)
+    # smallest number of rows for the estimation of constants
+    if not gapless or products.rows < 50 or not directions.shape[1]:
+        return AveragedFit(
+            plain, fit_function, no_directions, collinear_unknowns, correction
+        )
+    (extended,) = whitened_fits(products.with_constants(directions))
     if noise is not None:
-        beside = correct_attenuation(beside, noise.with_constants(directions)).fit
-    own = slice(products.unknowns, None)
+        extended = correct_attenuation(extended, noise.with_constants(directions)).fit
+    constants = slice(products.unknowns, None)
     square = (
-        scaled_solve(beside.covariance[own, own], beside.values[own])
-        @ beside.values[own]
+        solve_scaled(
+            extended.covariance[constants, constants], extended.values[constants]
+        )
+        @ extended.values[constants]
     )
     weight = float(special.expit(square / 2 - directions.shape[1]))
-    fit = averaged(alone, beside, weight)
+    fit = mixture_fit(plain, extended, weight)
     return AveragedFit(
-        fit, fits, directions, imitating, correction, weight, float(square)
+        fit,
+        fit_function,
+        directions,
+        collinear_unknowns,
+        correction,
+        weight,
+        float(square),
     )
 
 
-def averaged(alone: NoiseFit, beside: NoiseFit, weight: float) -> NoiseFit:
-    """Mixture of two fits; without constants, these are zero and certain.
+def mixture_fit(plain: NoiseFit, extended: NoiseFit, weight: float) -> NoiseFit:
+    """Mean and covariance of a mixture of the fits without and with constants.
+
+    The fit without constants contributes constants of zero with zero variance.
 
     Args:
-        alone: Without constants, (m,).
-        beside: With them after the unknowns, (m + k,).
-        weight: Of the latter.
+        plain: Fit without constants, (m,).
+        extended: Fit with constants after the unknowns, (m + k,).
+        weight: Weight of the fit with constants.
     """
-    more = (0, len(beside.values) - len(alone.values))
-    values = np.pad(alone.values, more)
-    apart = beside.values - values
+    padding = (0, len(extended.values) - len(plain.values))
+    values = np.pad(plain.values, padding)
+    difference = extended.values - values
 
-    def mixed(first: Array, second: Array) -> Array:
-        return (1 - weight) * np.pad(first, more) + weight * second
+    def mixed_matrix(first: Array, second: Array) -> Array:
+        return (1 - weight) * np.pad(first, padding) + weight * second
 
     return replace(
-        beside if weight > 0.5 else alone,
-        values=values + weight * apart,
-        covariance=mixed(alone.covariance, beside.covariance)
-        + weight * (1 - weight) * np.outer(apart, apart),
-        inverse=mixed(alone.inverse, beside.inverse),
+        extended if weight > 0.5 else plain,
+        values=values + weight * difference,
+        covariance=mixed_matrix(plain.covariance, extended.covariance)
+        + weight * (1 - weight) * np.outer(difference, difference),
+        inverse=mixed_matrix(plain.inverse, extended.inverse),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class GlsFit:
-    """Solution by generalised least squares, its covariance and noise.
+    """Generalised least-squares solution with calibrated covariance and noise model.
 
     Attributes:
-        values: Of the unknowns, (p,).
-        covariance: (p, p).
-        squares: Sums of the squares of each channel's residuals, (C,).
-        noise: Of the residuals.
-        sensor_values: Values of the instrument's unknowns, (s,).
-        sensor_covariance: Their covariance, (s, s).
+        values: Robot unknowns, (p,).
+        covariance: Covariance of the robot unknowns, (p, p).
+        residual_squares: Sum of squared residuals of each channel, (C,).
+        noise: Noise model of the residuals.
+        sensor_values: Sensor unknowns, (s,).
+        sensor_covariance: Covariance of the sensor unknowns, (s, s).
     """
 
     values: Array
     covariance: Array
-    squares: Array
+    residual_squares: Array
     noise: NoiseModel
     sensor_values: Array
     sensor_covariance: Array
@@ -195,152 +214,158 @@ class GlsFit:
 
 @dataclass(frozen=True, eq=False)
 class GlsSolution:
-    """Generalised least squares in units in which all noise is one.
+    """Generalised least-squares solution in whitened units, before calibration.
 
     Attributes:
-        passes: Over all rows.
-        encoders: Noise of the positions.
-        units: In which all noise is one.
-        start: The robot's unknowns before, (p,).
-        products: Of rows with rows before them.
-        average: Correction of the unknowns, in these units.
+        passes: Passes over all rows.
+        encoders: Encoder noise.
+        units: Whitening, which scales the noise to unit variance.
+        start: Robot unknowns of the preceding weighted solution, (p,).
+        products: Lagged products of the rows.
+        average: Averaged fit of the correction to the unknowns, in whitened units.
     """
 
     passes: Passes
     encoders: PositionNoise
     units: Whitening
     start: Array
-    products: Products
+    products: ProductsWithNoise
     average: AveragedFit
 
     @property
     def count(self) -> int:
-        """Unknowns that are free, m; those of constants come after them."""
+        """Number m of free unknowns, which precede the constants in the fit."""
         return int(self.units.basis.shape[1])
 
     @cached_property
     def step(self) -> Array:
-        """Correction of all unknowns, (p + s,)."""
+        """Correction of all unknowns, robot and sensors, (p + s,)."""
         return (
-            self.units.fixed + self.units.basis @ self.average.fit.values[: self.count]
+            self.units.fixed_values
+            + self.units.basis @ self.average.fit.values[: self.count]
         )
 
     @cached_property
     def values(self) -> Array:
-        """The robot's unknowns, (p,)."""
+        """Robot unknowns, (p,)."""
         return self.start + self.step[: len(self.start)]
 
     @property
     def sensor_values(self) -> Array:
-        """The instrument's unknowns, (s,)."""
+        """Sensor unknowns, (s,)."""
         return self.step[len(self.start) :]
 
     @cached_property
-    def constants(self) -> Array:
-        """Directions of the constants in the channels as measured, (C, k) [N, N m]."""
+    def bias_directions(self) -> Array:
+        """Channel combinations with a constant offset, in measured units, (C, k) [N, N m]."""
         measured = self.average.directions / self.units.root[:, None]
-        # part of a channel in a constant that is none but for rounding
+        # components below this are rounding errors
         small = np.abs(measured) < 1e-9 * np.abs(measured).max(initial=0.0)
         return np.where(small, 0.0, measured)
 
     @cached_property
     def bias(self) -> Array:
-        """Constants of the channels, (C,) [N, N m]."""
-        return np.asarray(self.constants @ self.average.fit.values[self.count :])
+        """Estimated constant offset of each channel, (C,) [N, N m]."""
+        return np.asarray(self.bias_directions @ self.average.fit.values[self.count :])
 
     @property
     def bias_sigma(self) -> Array:
-        """Standard deviations of the constants by the formula, (C,) [N, N m]."""
+        """Standard deviations of the constant offsets before calibration, (C,) [N, N m]."""
         covariance = self.average.fit.covariance[self.count :, self.count :]
-        return standard_deviations(self.constants @ covariance @ self.constants.T)
+        return standard_deviations(
+            self.bias_directions @ covariance @ self.bias_directions.T
+        )
 
     def rows(self) -> Iterator[WhitenedRows]:
-        """Rows with the columns of what is free, and residuals in place of measurements."""
-        made = self.encoders.replicas(self.values)
+        """Yield rows with the free unknowns' columns and the solution's residuals."""
+        replica_columns = self.encoders.replicas(self.values)
         sensors = self.sensor_values
-        for rows in self.units.rows(self.passes, self.values, made):
-            of_sensors = rows.sensors[..., : len(sensors)] @ sensors
-            residual = rows.measured - self.bias[:, None] - of_sensors
+        for rows in self.units.rows(self.passes, self.values, replica_columns):
+            sensor_part = rows.sensors[..., : len(sensors)] @ sensors
+            residual = rows.measured - self.bias[:, None] - sensor_part
             yield rows._replace(
-                columns=self.units.of_free(rows.columns),
+                columns=self.units.free_columns(rows.columns),
                 measured=residual,
                 white=self.units.root[:, None] * residual,
             )
 
 
 class ResidualSums:
-    """Squares of the channels' residuals, about their mean where a channel has a constant.
+    """Sums of squared residuals, relative to the mean in channels with a constant.
 
-    Under noise that wanders, the likeliest constant may lie far from all that was measured.
+    The mean is used because the estimated constant may be far from it under long-memory noise.
     """
 
     def __init__(self, constant: NDArray[np.bool_]) -> None:
-        """Nothing yet.
+        """Start with zero sums.
 
         Args:
-            constant: Whether each channel has a constant, (C,).
+            constant: True for channels with a constant, (C,).
         """
         self._constant, self._sums = constant, np.zeros((3, len(constant)))
 
     def add(self, rows: WhitenedRows) -> None:
-        """Go on with consecutive rows."""
+        """Add a block of consecutive rows."""
         residual, ones = rows.measured, rows.ones
         self._sums += np.stack([ones, residual * ones, residual**2 * ones]).sum(axis=2)
 
     def result(self) -> Array:
-        """Sums of squares, (C,)."""
+        """Sum of squared residuals of each channel, (C,)."""
         used, first, second = self._sums
         about = second - self._constant * first**2 / np.maximum(used, 1.0)
-        return np.maximum(about, 0.0)  # rounding, where nothing is left but a constant
+        return np.maximum(about, 0.0)  # rounding errors, if the residual is constant
 
 
-@stage("residuals and replicas of noise")
+@timed_stage("residuals and replicas of noise")
 def generalized_least_squares(
-    start: solvers.Fit, passes: Passes, beside: NuisanceColumns
+    start: solvers.Fit, passes: Passes, nuisances: NuisanceColumns
 ) -> GlsSolution:
-    """Go on from a weighted solution, by one pass.
+    """Refine a weighted solution by generalised least squares, in one pass.
 
     Args:
-        start: The solution, and the weights in whose units rows are taken.
-        passes: Over all rows.
-        beside: Columns beside the robot's.
+        start: Weighted solution, whose weights scale the rows.
+        passes: Passes over all rows.
+        nuisances: Columns of the sensor unknowns.
     """
     units, encoders = (
-        whitening_of(start, beside, passes.plan.layout),
+        whitening_of(start, nuisances, passes.plan.layout),
         _encoder_noise(passes),
     )
-    products = units.products(passes, start.values, HIGHEST, encoders)
+    products = units.products(passes, start.values, MAX_AUTOREGRESSION_ORDER, encoders)
     average = averaged_fit(
-        units.as_free(products.every),
-        products.noise and units.as_free(products.noise),
-        whole=passes.plan.layout.model == "reaction",
+        units.free_products(products.measured),
+        products.noise and units.free_products(products.noise),
+        gapless=passes.plan.layout.model == "wrench",
     )
     return GlsSolution(passes, encoders, units, start.values, products, average)
 
 
-@stage("residuals and replicas of noise")
-def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
-    """Calibrate the covariance by one pass over residuals and replicas of noise.
+@timed_stage("residuals and replicas of noise")
+def bootstrap_calibrated_fit(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
+    """Calibrate the covariance by a parametric bootstrap, in one pass.
 
     Args:
-        solution: By generalised least squares.
-        names: Of the robot's unknowns.
+        solution: Generalised least-squares solution.
+        names: Names of the robot unknowns, (p,).
     """
     units, average, p = solution.units, solution.average, len(names)
     robot = units.basis[:p]
-    residuals = ResidualSums(np.any(solution.constants, axis=1))
-    known = robot[robot.any(axis=1)]
-    replicas = Bootstrap(average.fit.noise, average.directions, known)
+    residuals = ResidualSums(np.any(solution.bias_directions, axis=1))
+    estimated = robot[robot.any(axis=1)]
+    replicas = Bootstrap(average.fit.noise, average.directions, estimated)
     quantization = QuantizationSums(average.fit, solution.count)
     for rows in solution.rows():
         for sums in (residuals, replicas, quantization):
             sums.add(rows)
-    factor, (by_counts, share) = replicas.result(average.fits), quantization.result()
-    covariance = _covariance(solution, factor, by_counts)
+    factor, (count_covariance, share) = (
+        replicas.result(average.fit_function),
+        quantization.result(),
+    )
+    covariance = _covariance(solution, factor, count_covariance)
     return GlsFit(
         values=solution.values,
         covariance=covariance[:p, :p],
-        squares=residuals.result(),
+        residual_squares=residuals.result(),
         noise=_noise_model(solution, names, factor, share),
         sensor_values=solution.sensor_values,
         sensor_covariance=covariance[p:, p:],
@@ -353,73 +378,97 @@ def _noise_model(
     factor: float,
     share: float,
 ) -> NoiseModel:
-    """Noise of the residuals, and the parameters that it hides or limits."""
+    """Noise model, with names of parameters collinear with constants or limited by encoder noise.
+
+    Args:
+        solution: Generalised least-squares solution.
+        names: Names of the robot unknowns, (p,).
+        factor: Bootstrap factor on standard deviations.
+        share: Fraction of the whitened residuals' sum of squares due to encoder quantisation.
+    """
     average, plan, robot = solution.average, solution.passes.plan, solution.units.basis
     correction, noise = average.correction, average.fit.noise
-    limited = () if correction is None else correction.noise_limited(robot)
+    limited_flags = () if correction is None else correction.noise_limited(robot)
     return NoiseModel(
         order=noise.order,
-        memory=tuple(float(rows) / plan.rate for rows in noise.memory),
+        memory=tuple(float(rows) / plan.rate for rows in noise.decay_rows),
         factor=factor,
         bias=solution.bias,
         bias_sigma=factor * solution.bias_sigma,
-        bias_chance=average.chance(factor),
+        bias_chance=average.p_value(factor),
         bias_weight=average.weight,
         span=plan.source.samples / plan.source.rate,
-        hidden=_named(_large(average.imitating @ robot.T), names),
-        noise_limited=_named(limited, names),
+        hidden=_flagged_names(
+            _large_components(average.collinear_unknowns @ robot.T), names
+        ),
+        noise_limited=_flagged_names(limited_flags, names),
         least_counts=solution.encoders.least_counts,
         by_counts=share,
     )
 
 
-def sensor_step(
-    start: solvers.Fit, passes: Passes, beside: NuisanceColumns
+def white_noise_sensor_estimate(
+    start: solvers.Fit, passes: Passes, nuisances: NuisanceColumns
 ) -> tuple[Array, Array, Array]:
-    """The instrument's unknowns alone, (s,), their sigma as if noise were white, and their shares.
+    """Sensor unknowns under white noise, with standard deviations and shares, (s,) each.
 
-    Good enough to correct a recording with: the fit that follows knows better. The share is how
-    much of an unknown's effect is its own, (s,): the rest others can show, too.
+    They are accurate enough to correct a recording before the final fit. The share is sqrt(1 - R^2)
+    for the regression of an unknown's column on all other columns; 1 for known unknowns.
 
     Args:
-        start: A weighted solution of the robot's unknowns.
-        passes: Over all rows.
-        beside: Columns beside theirs.
+        start: Weighted solution of the robot unknowns.
+        passes: Passes over all rows.
+        nuisances: Columns of the sensor unknowns.
     """
-    units, p = whitening_of(start, beside, passes.plan.layout), len(start.values)
-    products = units.products(passes, start.values, 0).every
-    (fit,) = whitened_fits(units.as_free(products), 0)
-    own = slice(p, p + beside.unknown)
+    units, p = whitening_of(start, nuisances, passes.plan.layout), len(start.values)
+    products = units.products(passes, start.values, 0).measured
+    (fit,) = whitened_fits(units.free_products(products), 0)
+    own = slice(p, p + nuisances.count)
     squares = np.einsum("c,cii->i", fit.noise.sigma**-2.0, products.products[0])[own]
     basis = units.basis[own]
     variance = np.einsum("si,ij,sj->s", basis, fit.covariance, basis)
-    variance = np.maximum(variance, TINY)
+    variance = np.maximum(variance, SMALLEST_POSITIVE)
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
     share[~basis.any(axis=1)] = 1.0  # known
-    return (units.fixed + units.basis @ fit.values)[own], np.sqrt(variance), share
+    return (
+        (units.fixed_values + units.basis @ fit.values)[own],
+        np.sqrt(variance),
+        share,
+    )
 
 
-def _covariance(solution: GlsSolution, factor: float, by_counts: Array) -> Array:
-    """Of all unknowns, (p + s, p + s): by the fit, by counts of encoders, by doubt about facts."""
+def _covariance(solution: GlsSolution, factor: float, count_covariance: Array) -> Array:
+    """Covariance of all unknowns, (p + s, p + s).
+
+    It sums the contributions of noise, encoder quantisation and uncertain constraints.
+
+    Args:
+        solution: Generalised least-squares solution.
+        factor: Bootstrap factor on standard deviations.
+        count_covariance: Covariance of the free unknowns due to encoder quantisation, (m, m).
+    """
     units, average, m = solution.units, solution.average, solution.count
-    spread = factor**2 * average.fit.covariance[:m, :m] + by_counts
+    spread = factor**2 * average.fit.covariance[:m, :m] + count_covariance
     covariance = np.asarray(units.basis @ spread @ units.basis.T)
-    facts = units.beside.facts
+    facts = units.nuisances.constraints
     if facts is None or units.free is None:
         return covariance
-    size, biases = len(units.fixed), average.directions.shape[1]
-    products = solution.products.every.with_constants(average.directions)
+    size, biases = len(units.fixed_values), average.directions.shape[1]
+    products = solution.products.measured.with_constants(average.directions)
     normal = average.fit.normal(products)[: size + biases, : size + biases]
-    basis = linalg.block_diag(units.free.lead, np.eye(biases))
-    fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
+    basis = linalg.block_diag(units.free.basis, np.eye(biases))
+    fixed = np.pad(units.free.right_inverse, ((0, biases), (0, 0)))
     across = basis.T @ normal
-    moved = fixed - basis @ scaled_solve(across @ basis, across @ fixed)
-    root = units.grown @ moved[:size] @ facts.doubt(solution.step)
+    change = fixed - basis @ solve_scaled(across @ basis, across @ fixed)
+    root = units.full_map @ change[:size] @ facts.covariance_root(solution.step)
     return np.asarray(covariance + root @ root.T)
 
 
 def _encoder_noise(passes: Passes) -> PositionNoise:
-    """Noise of the encoders that is in the columns; zero where it is none, or unknown."""
+    """Encoder noise in the regressor columns; zero if velocities and accelerations are measured.
+
+    Quantisation is included only where rows are filtered.
+    """
     plan, survey = passes.plan, passes.surveyor.survey()
     inferred = not plan.source.senses_kinematics
     filtered = inferred and len(plan.weights) > 1
@@ -428,14 +477,23 @@ def _encoder_noise(passes: Passes) -> PositionNoise:
     )
 
 
-def _named(which: Iterable[bool], names: tuple[str, ...]) -> tuple[str, ...]:
-    """The first unknowns of those that are named, (p,) or more."""
-    return tuple(name for name, named in zip(names, which, strict=False) if named)
+def _flagged_names(flags: Iterable[bool], names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the unknowns whose flag is set.
+
+    Args:
+        flags: Flags, one per unknown; flags beyond the last name are ignored.
+        names: Names of the robot unknowns, (p,).
+    """
+    return tuple(name for name, flag in zip(names, flags, strict=False) if flag)
 
 
-def _large(part: Array) -> NDArray[np.bool_]:
-    """Unknowns with a large part in one of k combinations, (k, p + s)."""
-    size = np.abs(part)
-    # an unknown with a larger part than this in a combination is named
+def _large_components(combinations: Array) -> NDArray[np.bool_]:
+    """Mask of components above a tenth of the largest in some combination, (p + s,).
+
+    Args:
+        combinations: Components of the combinations, (k, p + s).
+    """
+    size = np.abs(combinations)
+    # components above a tenth of the largest component
     large = size > 0.1 * size.max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(large.any(axis=0))

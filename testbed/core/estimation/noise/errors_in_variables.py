@@ -1,4 +1,4 @@
-"""Noise in the columns of the equations, from encoders and their counts, and the bias it makes."""
+"""Errors in variables: encoder noise in the regressor columns, and its attenuation bias."""
 
 from __future__ import annotations
 
@@ -11,98 +11,109 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
 from testbed.core.estimation.noise.fits import NoiseFit
 from testbed.core.estimation.noise.lagged_products import LaggedProducts
-from testbed.core.estimation.regression.normal_equations import square_root
-from testbed.core.estimation.regression.passes import Columns, motion_rows
+from testbed.core.estimation.regression.normal_equations import matrix_square_root
+from testbed.core.estimation.regression.passes import ColumnFunction, motion_rows
 from testbed.core.estimation.regression.windows import Plan
-from testbed.core.kernel.numpy_engine import motion_of
-from testbed.core.kernel.records import Signals
+from testbed.core.kernel.numpy_engine import window_motion
+from testbed.core.kernel.records import SignalWindow
 
 COUNTS_SEED = 1948
-"""Of the zeros: the same recording gives the same estimate."""
+"""Seed of the encoder zeros: the same recording gives the same estimate."""
 
-BLOCK = 1024
-"""Samples of made noise that are drawn at once, from a seed of their own."""
+NOISE_BLOCK = 1024
+"""Samples of simulated noise that are drawn at once, each block from its own seed."""
 
 
 class PositionNoise:
-    """Noise and whole counts of encoders at a plan's rows, the same for any order of windows."""
+    """Simulated encoder noise and quantisation at the rows of a plan.
+
+    The noise of a row does not depend on the order in which windows are processed.
+    """
 
     def __init__(self, plan: Plan, sigma: Array, count: Array) -> None:
-        """Ready for any window.
+        """Compute the kernels from position samples to rows.
 
         Args:
-            plan: The rows.
+            plan: Plan of the rows.
             sigma: Standard deviations of white noise, (n,) [rad or m].
-            count: Least counts of encoders that have counts instead, zero for others, (n,)
-                [rad or m].
+            count: Least counts of quantised encoders, zero for others, (n,) [rad or m].
         """
         self._plan, self._sigma, self._count = plan, sigma, count
         self._coarse = np.flatnonzero(count)
         self._kernels = np.stack(
-            [np.convolve(taps, plan.weights) for taps in plan.taps]
+            [np.convolve(taps, plan.weights) for taps in plan.motion_kernels]
         )
 
     @property
     def least_counts(self) -> tuple[float, ...]:
-        """Joint by joint; nothing where none has any."""
+        """Least count of each joint's encoder; empty if no encoder is quantised."""
         return tuple(self._count.tolist()) if len(self._coarse) else ()
 
-    def noisy_columns(self, combined: Array) -> Columns | None:
-        """Effect of noise on combinations of the columns; nothing without noise.
+    def noisy_columns(self, combinations: Array) -> ColumnFunction | None:
+        """Function that simulates encoder noise in combinations of columns; None without noise.
+
+        The function returns the change of the columns, (C, rows, q), due to white noise or, for
+        quantised encoders, due to rounding with encoder zeros that are redrawn every 1024 samples.
 
         Args:
-            combined: How the unknowns' columns are combined, (p, q).
+            combinations: Combinations of the unknowns' columns, (p, q).
         """
-        basis = self._plan.layout.basis @ combined
+        basis = self._plan.layout.basis @ combinations
 
-        def columns(signals: Signals, first: int) -> Array:
-            noise = self.white(first, signals.number)
+        def columns(signals: SignalWindow, first: int) -> Array:
+            noise = self.white_noise(first, signals.row_count)
             if len(self._coarse):
-                smooth, begin = self._smooth(signals), first * self._plan.step
-                # samples after which zeros of encoders that change do so
+                smooth, begin = self._smooth_positions(signals), first * self._plan.step
+                # samples after which the encoder zeros change
                 blocks = np.arange(begin, begin + len(smooth)) // 1024
                 zeros = [
-                    self._zeros(COUNTS_SEED, k)
+                    self._random_zeros(COUNTS_SEED, k)
                     for k in range(blocks[0], blocks[-1] + 1)
                 ]
-                noise = noise + self._rounded(
+                noise = noise + self._rounding_errors(
                     smooth, np.array(zeros)[blocks - blocks[0]]
                 )
-            return changed(self._plan, at_rows(signals), noise, basis)
+            return column_changes(self._plan, motion_at_rows(signals), noise, basis)
 
         return columns if self._sigma.any() else None
 
-    def replicas(self, values: Array) -> Columns | None:
-        """Effect of counts from other zeros on an estimate's rows; nothing without counts.
+    def replicas(self, values: Array) -> ColumnFunction | None:
+        """Function that predicts row errors due to quantisation; None without quantised encoders.
 
-        Zeros stay: what repeats in the motion repeats in the errors.
+        The function rounds the positions anew and returns one column for each of 24 replicas,
+        (C, rows, 24). Each replica has  its own constant encoder zeros, so that errors repeat with
+        the motion.
 
         Args:
-            values: Of the unknowns, (p,).
+            values: Unknowns, (p,).
         """
         basis = self._plan.layout.basis @ values[:, None]
 
-        def columns(signals: Signals, first: int) -> Array:
+        def columns(signals: SignalWindow, first: int) -> Array:
             del first
-            motion, smooth = at_rows(signals), self._smooth(signals)
-            # replicas of errors of whole counts: the spread of what they do is found to 15 %
-            zeros = (self._zeros(COUNTS_SEED + 1, k) for k in range(24))
-            each = (self._rounded(smooth, zero) for zero in zeros)
+            motion, smooth = motion_at_rows(signals), self._smooth_positions(signals)
+            # 24 replicas: the variance of their effect is accurate to 15 %
+            zeros = (self._random_zeros(COUNTS_SEED + 1, k) for k in range(24))
+            each = (self._rounding_errors(smooth, zero) for zero in zeros)
             return np.concatenate(
-                [changed(self._plan, motion, error, basis) for error in each], axis=2
+                [column_changes(self._plan, motion, error, basis) for error in each],
+                axis=2,
             )
 
         return columns if len(self._coarse) else None
 
-    def white(self, first: int, count: int) -> Array:
-        """Made noise of positions, velocities and accelerations, filtered, (3, rows, n).
+    def white_noise(self, first: int, count: int) -> Array:
+        """Filtered white noise of position, velocity and acceleration, (3, rows, n).
+
+        Its standard deviations are those of the encoders, zero for quantised encoders. Samples are
+        drawn in blocks with fixed seeds, and simulated at a reduced rate where rows are far apart.
 
         Args:
-            first: Number of the first row.
-            count: How many rows.
+            first: Index of the first row.
+            count: Number of rows.
         """
         step, middle = self._plan.step, self._kernels.shape[1] // 2
-        # samples of made noise from row to row, at least: slow noise, behind the filter on rows
+        # at least five samples of simulated noise from row to row, before the filter on rows
         strides = range(1, step // 5 + 1)
         stride = max((d for d in strides if step % d == 0), default=1)
         kernels = self._kernels[:, middle % stride :: stride].T * np.sqrt(stride)
@@ -110,88 +121,107 @@ class PositionNoise:
             first * step // stride,
             (first + count - 1) * step // stride + len(kernels),
         )
-        # of the made noise: the same recording gives the same estimate
+        # fixed seed: the same recording gives the same estimate
         white = np.concatenate(
             [
                 np.random.default_rng([1997, block]).normal(
-                    size=(BLOCK, len(self._sigma))
+                    size=(NOISE_BLOCK, len(self._sigma))
                 )
-                for block in range(begin // BLOCK, -(-end // BLOCK))
+                for block in range(begin // NOISE_BLOCK, -(-end // NOISE_BLOCK))
             ]
-        )[begin % BLOCK :][: end - begin]
+        )[begin % NOISE_BLOCK :][: end - begin]
         around = np.lib.stride_tricks.sliding_window_view(white, len(kernels), axis=0)
-        made = around[:: step // stride] @ kernels
+        simulated = around[:: step // stride] @ kernels
         return np.asarray(
-            np.moveaxis(made, 2, 0) * np.where(self._count > 0, 0.0, self._sigma)
+            np.moveaxis(simulated, 2, 0) * np.where(self._count > 0, 0.0, self._sigma)
         )
 
-    def _smooth(self, signals: Signals) -> Array:
-        """Positions of coarse encoders around the rows, without counts, (samples, coarse)."""
-        last = signals.start + (signals.number - 1) * signals.step
+    def _smooth_positions(self, signals: SignalWindow) -> Array:
+        """Low-passed positions of quantised encoders around the rows, (samples, coarse) [rad or m].
+
+        `coarse` is the number of quantised encoders. The low-pass is the plan's filter on rows,
+        with odd reflection at the ends; the samples extend half a kernel beyond the first and the
+        last row.
+
+        Args:
+            signals: Signals of the window.
+        """
+        last = signals.start + (signals.row_count - 1) * signals.step
         half, around = self._kernels.shape[1] // 2, len(signals.weights) // 2
-        shown = signals.position[signals.start - half : last + half + 1, self._coarse]
-        ends = np.pad(shown, ((around, around), (0, 0)), "reflect", reflect_type="odd")
+        positions = signals.position[
+            signals.start - half : last + half + 1, self._coarse
+        ]
+        ends = np.pad(
+            positions, ((around, around), (0, 0)), "reflect", reflect_type="odd"
+        )
         return np.stack(
             [np.convolve(own, signals.weights, "valid") for own in ends.T], axis=1
         )
 
-    def _rounded(self, smooth: Array, zeros: Array) -> Array:
-        """Errors of whole counts, behind the filters, (3, rows, n).
+    def _rounding_errors(self, smooth: Array, zeros: Array) -> Array:
+        """Filtered rounding errors of position, velocity and acceleration, (3, rows, n).
+
+        They are zero for encoders without quantisation.
 
         Args:
-            smooth: Positions, (samples, coarse).
-            zeros: In counts, (samples, coarse) or (coarse,).
+            smooth: Positions before rounding, (samples, coarse) [rad or m].
+            zeros: Encoder zeros in counts, (samples, coarse) or (coarse,).
         """
         size = self._count[self._coarse]
         counts = smooth / size + zeros
-        off = (np.round(counts) - counts) * size
+        errors = (np.round(counts) - counts) * size
         around = np.lib.stride_tricks.sliding_window_view(
-            off, self._kernels.shape[1], axis=0
+            errors, self._kernels.shape[1], axis=0
         )
         part = around[:: self._plan.step] @ self._kernels.T
-        every = np.zeros((3, len(part), len(self._count)))
-        every[:, :, self._coarse] = np.moveaxis(part, 2, 0)
-        return every
+        all_joints = np.zeros((3, len(part), len(self._count)))
+        all_joints[:, :, self._coarse] = np.moveaxis(part, 2, 0)
+        return all_joints
 
-    def _zeros(self, *seed: int) -> Array:
+    def _random_zeros(self, *seed: int) -> Array:
+        """Random zeros of the quantised encoders, in counts, (coarse,)."""
         return np.random.default_rng(seed).uniform(size=len(self._coarse))
 
 
-def at_rows(signals: Signals) -> Array:
+def motion_at_rows(signals: SignalWindow) -> Array:
     """Measured positions, velocities and accelerations at the rows, (3, rows, n)."""
-    motion = motion_of(signals, signals.start, signals.number, signals.step)
+    motion = window_motion(signals, signals.start, signals.row_count, signals.step)
     return np.stack([motion.q, motion.qd, motion.qdd])
 
 
-def changed(plan: Plan, motion: Array, noise: Array, basis: Array) -> Array:
-    """By how much noise changes combinations of the columns, to second order, (C, rows, q).
+def column_changes(plan: Plan, motion: Array, noise: Array, basis: Array) -> Array:
+    """Change of combined columns due to noise in the motion, to second order, (C, rows, q).
+
+    It is half the difference of the columns with the noise added and subtracted.
 
     Args:
-        plan: The rows.
+        plan: Plan of the rows.
         motion: Positions, velocities, accelerations, (3, rows, n).
-        noise: Of these, (3, rows, n).
-        basis: How the columns are combined, (P, q).
+        noise: Noise of the motion, (3, rows, n).
+        basis: Combinations of the P regressor columns, (P, q).
     """
-    moved = np.concatenate([motion + noise, motion - noise], axis=1)
-    more, less = np.split(motion_rows(plan, *moved), 2, axis=1)
-    return plan.layout.combined((more - less) / 2, basis)
+    disturbed = np.concatenate([motion + noise, motion - noise], axis=1)
+    above, below = np.split(motion_rows(plan, *disturbed), 2, axis=1)
+    return plan.layout.combine_columns((above - below) / 2, basis)
 
 
-MOST = 0.5
-"""Part of the square of a combination of columns that may be noise: more is not taken back."""
+MAX_NOISE_SHARE = 0.5
+"""Largest part of a column's square, in a combination, that is subtracted as noise."""
 
-NAMED = 0.25
-"""Part of what identifies a parameter that may be noise: corrected, how well is not in sigma."""
+REPORTED_NOISE_SHARE = 0.25
+"""Part of a parameter's information that is noise, above which the parameter is reported: sigma
+does not count the error of its correction."""
 
 
 @dataclass(frozen=True, eq=False)
 class AttenuationCorrection:
-    """Unknowns as they were without noise in the columns.
+    """Fit corrected for the attenuation by noise in the columns.
 
     Attributes:
-        fit: Values and covariance.
-        directions: Combinations of the unknowns, of normal matrix one before, (m, m).
-        share: Part of the square of each one's column that is noise, (m,).
+        fit: Corrected values and covariance.
+        directions: Combinations of the unknowns with unit normal matrix before the correction, (m,
+            m).
+        share: Noise fraction of each combination's squared column, (m,).
     """
 
     fit: NoiseFit
@@ -199,41 +229,53 @@ class AttenuationCorrection:
     share: Array
 
     def noise_limited(self, basis: Array) -> NDArray[np.bool_]:
-        """Parameters that columns identify of which more than `NAMED` is noise, (p,).
+        """Mask of parameters whose information contains more noise than REPORTED_NOISE_SHARE, (p,).
+
+        The information is the inverse variance. Its noise is the relative decrease when the
+        expected noise is subtracted from the normal matrix.
 
         Args:
-            basis: Parameters from the unknowns, (p, m).
+            basis: Map from the unknowns to the parameters, (p, m).
         """
         parts = (basis @ self.directions) ** 2
-        # part of what identifies an unknown that noise is at most: all of it would leave no sigma
-        rest = 1 - np.clip(self.share, 0.0, 0.999)
-        return np.asarray(parts.sum(axis=1) < (1 - NAMED) * (parts / rest).sum(axis=1))
+        # upper limit of the noise's share, which keeps sigma finite
+        signal_share = 1 - np.clip(self.share, 0.0, 0.999)
+        return np.asarray(
+            parts.sum(axis=1)
+            < (1 - REPORTED_NOISE_SHARE) * (parts / signal_share).sum(axis=1)
+        )
 
 
 def correct_attenuation(fit: NoiseFit, noise: LaggedProducts) -> AttenuationCorrection:
-    """Take noise in the columns back.
+    """Correct a fit for the attenuation by noise in its columns.
+
+    The expected noise, at most MAX_NOISE_SHARE of each direction, is subtracted from the normal
+    matrix along its generalised eigenvectors.
 
     Args:
-        fit: With noise in its columns.
-        noise: Products of noise in the same unknowns' columns, of what it leaves in the
-            residuals, and of ones, as the rows' own.
+        fit: Fit with noise in its columns.
+        noise: Lagged products of the noise in the columns and residuals, and of row indicators.
     """
     m = len(fit.values)
-    white, root = fit.normal(noise), square_root(fit.inverse)
+    white, root = fit.normal(noise), matrix_square_root(fit.inverse)
     share, axes = eigh(root.T @ white[:m, :m] @ root)
-    directions, kept = root @ axes, np.clip(share, 0.0, MOST)
-    taken = white[:m, :m] @ fit.values - white[:m, m]
-    taken = (
+    directions, subtracted = root @ axes, np.clip(share, 0.0, MAX_NOISE_SHARE)
+    bias = white[:m, :m] @ fit.values - white[:m, m]
+    bias = (
         directions.T
-        @ taken
-        * np.where(share > MOST, MOST / np.maximum(share, MOST), 1.0)
+        @ bias
+        * np.where(
+            share > MAX_NOISE_SHARE,
+            MAX_NOISE_SHARE / np.maximum(share, MAX_NOISE_SHARE),
+            1.0,
+        )
     )
-    spread = directions / (1 - kept)
-    back = spread @ np.linalg.inv(directions)
-    better = replace(
+    spread = directions / (1 - subtracted)
+    correction = spread @ np.linalg.inv(directions)
+    corrected = replace(
         fit,
-        values=fit.values + spread @ taken,
-        covariance=back @ fit.covariance @ back.T,
+        values=fit.values + spread @ bias,
+        covariance=correction @ fit.covariance @ correction.T,
         inverse=spread @ directions.T,
     )
-    return AttenuationCorrection(better, directions, share)
+    return AttenuationCorrection(corrected, directions, share)

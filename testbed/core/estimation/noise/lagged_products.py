@@ -1,7 +1,7 @@
-"""Products of rows with rows before them: all that a fit under coloured noise needs to know.
+"""Lagged products of regression rows, the statistics of fits under coloured noise.
 
-Whitening by an autoregression, its coefficients, the covariance of a fit that is not whitened:
-each is another sum of these products. One look at the rows is enough, whatever their number.
+Whitened normal equations, the coefficients of the whitening autoregression, and the covariance of
+an unwhitened fit are all sums of these products. A single pass over the rows is sufficient.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ import numpy as np
 from scipy.linalg import lapack
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.estimation.regression.normal_equations import SMALLEST_POSITIVE
 from testbed.core.kernel.records import Ints
 
-HIGHEST = 6
-"""Largest order: half a second at ten rows a second; what lasts longer shows in the slowest."""
+MAX_AUTOREGRESSION_ORDER = 6
+"""Largest order and lag: 0.5 s at ten rows a second; longer memory shows in the slowest root."""
 
-LARGEST_ROOT = 0.998
-"""A fit may find noise that grows without end; it is held to one that forgets."""
+MAX_ROOT = 0.998
+"""Largest root of an autoregression: fits that are unstable or nearly so are made stable."""
 
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
-    """Noise of C channels.
+    """Autoregressive noise `e_t = sum over i of a_i e_(t-i) + u_t` of C channels.
 
     Attributes:
-        coefficients: a, (C, P).
-        sigma: Standard deviations of u, (C,).
+        coefficients: Coefficients a of order P, (C, P).
+        sigma: Standard deviations of the innovations u, (C,).
     """
 
     coefficients: Array
@@ -36,70 +36,80 @@ class Autoregression:
 
     @property
     def order(self) -> int:
-        """P."""
+        """Order P of the autoregression."""
         return int(self.coefficients.shape[1])
 
     @property
-    def memory(self) -> Array:
-        """Rows in which the slowest part of each channel's noise fades to 1/e, (C,)."""
+    def decay_rows(self) -> Array:
+        """Decay time of the slowest noise mode of each channel to 1/e, (C,) [rows]."""
         with np.errstate(divide="ignore"):  # white noise has none
             return np.asarray(-1 / np.log(_largest_roots(self.coefficients)))
 
 
-def fit(moments: Array, order: int) -> Array:
-    """Coefficients by least squares, (..., P), of noise that forgets.
+def fit_autoregression(moments: Array, order: int) -> Array:
+    """Fit coefficients of a stable autoregression by least squares, (..., P).
+
+    Characteristic roots with magnitudes above MAX_ROOT are scaled down, with one factor for all
+    roots of a channel.
 
     Args:
-        moments: e_(t-i) e_(t-j) summed over the same t, (..., K + 1, K + 1), K >= P.
-        order: P.
+        moments: Sums of e_(t-i) e_(t-j) over the same t, (..., K + 1, K + 1), K >= P.
+        order: Order P.
     """
     matrix, right = (
         moments[..., 1 : order + 1, 1 : order + 1],
         moments[..., 1 : order + 1, :1],
     )
     size = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] / max(order, 1)
-    # of the mean square: noise that repeats itself exactly has many autoregressions
-    return _forgetting(
-        np.linalg.solve(matrix + (1e-12 * size + TINY) * np.eye(order), right)[..., 0]
+    # ridge relative to the mean square: exactly periodic noise has many autoregressions
+    return _stable_coefficients(
+        np.linalg.solve(
+            matrix + (1e-12 * size + SMALLEST_POSITIVE) * np.eye(order), right
+        )[..., 0]
     )
 
 
-def prediction_errors(coefficients: Array) -> Array:
-    """1, -a_1 ... -a_P channel by channel, (..., P + 1): what makes white noise of the coloured."""
+def whitening_filter(coefficients: Array) -> Array:
+    """Coefficients of the whitening filter, 1, -a_1 ... -a_P, (..., P + 1)."""
     return np.concatenate(
         [np.ones((*coefficients.shape[:-1], 1)), -coefficients], axis=-1
     )
 
 
 def innovation_variance(moments: Array, coefficients: Array) -> Array:
-    """Sums of the squares of u, (...,).
+    """Sums of squared innovations u, in the scale of the moments, (...,).
 
     Args:
-        moments: As for `fit`.
-        coefficients: (..., P).
+        moments: Moments as for `fit_autoregression`.
+        coefficients: Coefficients of the autoregression, (..., P).
     """
-    alpha, order = prediction_errors(coefficients), coefficients.shape[-1]
+    alpha, order = whitening_filter(coefficients), coefficients.shape[-1]
     part = moments[..., : order + 1, : order + 1]
     return np.asarray(np.einsum("...i,...ij,...j->...", alpha, part, alpha))
 
 
-def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
-    """The order, 1 to `highest`, by Akaike's criterion, the same for all channels.
+def best_order(
+    moments: Array, rows: int, highest: int = MAX_AUTOREGRESSION_ORDER
+) -> int:
+    """Order from 1 to `highest` that minimises Akaike's criterion, common to all channels.
 
     Args:
-        moments: As for `fit`, K >= highest.
-        rows: How many products are in each sum.
-        highest: The largest to be tried.
+        moments: Moments as for `fit_autoregression`, K >= highest.
+        rows: Number of products in each sum.
+        highest: Largest order to be tried.
     """
     scores = []
     for order in range(1, highest + 1):
-        variance = np.maximum(innovation_variance(moments, fit(moments, order)), TINY)
+        variance = np.maximum(
+            innovation_variance(moments, fit_autoregression(moments, order)),
+            SMALLEST_POSITIVE,
+        )
         scores.append(rows * np.log(variance).sum() + 2 * order * len(moments))
     return 1 + int(np.argmin(scores))
 
 
 def _largest_roots(coefficients: Array) -> Array:
-    """How much of each channel's noise the slowest part of it keeps from row to row, (...,)."""
+    """Largest root magnitude of each autoregression, from its companion matrix, (...,)."""
     order = coefficients.shape[-1]
     companion = np.zeros((*coefficients.shape, order))
     companion[..., :1, :] = coefficients[..., None, :]
@@ -107,60 +117,66 @@ def _largest_roots(coefficients: Array) -> Array:
     return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=-1, initial=0.0))
 
 
-def _forgetting(coefficients: Array) -> Array:
-    """The same, with roots inside the unit circle, (..., P)."""
-    largest = np.maximum(_largest_roots(coefficients), LARGEST_ROOT)[..., None]
+def _stable_coefficients(coefficients: Array) -> Array:
+    """Coefficients with roots scaled to at most MAX_ROOT, (..., P)."""
+    largest = np.maximum(_largest_roots(coefficients), MAX_ROOT)[..., None]
     powers = np.arange(1, coefficients.shape[-1] + 1)
-    return coefficients * (LARGEST_ROOT / largest) ** powers
+    return coefficients * (MAX_ROOT / largest) ** powers
 
 
-class NoiseMaker:
-    """Replicas of noise, row after row."""
+class NoiseGenerator:
+    """Generator of replicas of autoregressive noise, block by block."""
 
     def __init__(
         self, noise: Autoregression, replicas: int, rng: np.random.Generator
     ) -> None:
-        """Ready for the first row.
+        """Simulate rows before the first row, so that the noise is stationary.
 
         Args:
-            noise: What to make.
-            replicas: How many at a time.
-            rng: Random numbers.
+            noise: Autoregression to simulate.
+            replicas: Number of replicas.
+            rng: Random number generator.
         """
         self._noise, self._rng = noise, rng
         self._recent = np.zeros((len(noise.sigma), noise.order, replicas))
-        # rows simulated before the first that counts
+        # rows simulated before the first row
         self.rows(200)
 
     def rows(self, count: int) -> Array:
-        """The next rows, (C, count, replicas)."""
+        """Simulate the next rows, (C, count, replicas)."""
         order, sigma = self._noise.order, self._noise.sigma
-        fresh = (
+        innovations = (
             self._rng.normal(size=(count, len(sigma), self._recent.shape[2]))
             * sigma[:, None]
         )
-        made = np.concatenate([self._recent, fresh.transpose(1, 0, 2)], axis=1)
-        for channel, alpha in enumerate(prediction_errors(self._noise.coefficients)):
+        simulated = np.concatenate(
+            [self._recent, innovations.transpose(1, 0, 2)], axis=1
+        )
+        for channel, alpha in enumerate(whitening_filter(self._noise.coefficients)):
             bands = np.repeat(alpha[:, None], order + count, axis=1)
-            for back in range(1, order + 1):
-                bands[back, : order - back] = 0.0  # what is made already stays
-            made[channel], _ = lapack.dtbtrs(bands, made[channel], uplo="L", diag="U")
-        self._recent = made[:, count:]
-        return made[:, order:]
+            for lag in range(1, order + 1):
+                bands[lag, : order - lag] = 0.0  # keep the earlier rows
+            simulated[channel], _ = lapack.dtbtrs(
+                bands, simulated[channel], uplo="L", diag="U"
+            )
+        self._recent = simulated[:, count:]
+        return simulated[:, order:]
 
 
 @dataclass(frozen=True, eq=False)
 class LaggedProducts:
-    """Sums over rows z_t of C channels with q columns each, in one sequence or S apart.
+    """Lagged products of rows z_t of C channels and q columns, in S sequences.
 
-    A fit takes the columns for those of m unknowns, then R responses, then ones.
+    Fits interpret the columns as those of m unknowns, then R responses, then row indicators (one
+    for rows that are used, else zero).
 
     Attributes:
-        rows: How many, of all sequences.
-        products: By lag k = 0 ... K: z_t z_(t-k)' summed over t >= k, (K + 1, C, q, q).
-        first: The first K rows of each sequence, (S, C, K, q); zeros where there are fewer.
-        last: The last K, in the order of time, (S, C, K, q); zeros before the first.
-        responses: R.
+        rows: Number of rows in all sequences.
+        products: Sums of z_t z_(t-k)' over t >= k, for lags k = 0 ... K, (K + 1, C, q, q).
+        first: First K rows of each sequence, (S, C, K, q); zeros where there are fewer.
+        last: Last K rows of each sequence in chronological order, (S, C, K, q); zeros before its
+            first row.
+        responses: Number of responses, R.
     """
 
     rows: int
@@ -171,99 +187,100 @@ class LaggedProducts:
 
     @property
     def lags(self) -> int:
-        """The largest lag K."""
+        """Largest lag K."""
         return len(self.products) - 1
 
     @property
     def unknowns(self) -> int:
-        """Columns before the responses, m."""
+        """Number of columns before the responses, m."""
         return int(self.products.shape[2]) - self.responses - 1
 
-    def after(self, order: int) -> int:
-        """Rows with so many rows before.
+    def rows_with_history(self, order: int) -> int:
+        """Number of rows with at least `order` earlier rows in the same sequence.
 
         Args:
-            order: How many.
+            order: Number of earlier rows.
         """
         return self.rows - order * len(self.first)
 
     @property
     def flat(self) -> Array:
-        """Products lag by lag, channel by channel, ((K + 1) C, q q)."""
+        """Products as a matrix with a row per lag and channel, ((K + 1) C, q q)."""
         lags, channels, columns, _ = self.products.shape
         return self.products.reshape(lags * channels, columns**2)
 
-    def up_to(self, lag: int) -> LaggedProducts:
-        """Of fewer lags.
+    def with_max_lag(self, lag: int) -> LaggedProducts:
+        """Products for lags up to a given maximum.
 
         Args:
-            lag: The largest, at most K.
+            lag: Largest lag, at most K.
         """
         if lag == self.lags:
             return self
         first, last = self.first[:, :, :lag], self.last[:, :, self.lags - lag :]
         return replace(self, products=self.products[: lag + 1], first=first, last=last)
 
-    def columns(self, which: Ints) -> LaggedProducts:
-        """Copy of some of the columns, in any order.
+    def columns(self, indices: Ints) -> LaggedProducts:
+        """Copy of the products of selected columns, in any order.
 
         Args:
-            which: Their numbers.
+            indices: Column indices.
         """
-        products = self.products[..., which[:, None], which]
-        first, last = self.first[..., which], self.last[..., which]
+        products = self.products[..., indices[:, None], indices]
+        first, last = self.first[..., indices], self.last[..., indices]
         return replace(self, products=products, first=first, last=last)
 
-    def combined(self, maps: Array) -> LaggedProducts:
-        """Of combinations of the columns.
+    def combine_columns(self, maps: Array) -> LaggedProducts:
+        """Products of linear combinations of the columns.
 
         Args:
-            maps: How a channel's columns make up the new ones, (C, q, r), or (q, r) for all.
+            maps: Matrices from a channel's columns to the combinations, (C, q, r), or (q, r) for
+                all channels.
         """
-        back = np.swapaxes(maps, -1, -2)
-        products = np.asarray(back @ self.products @ maps)
+        transposed = np.swapaxes(maps, -1, -2)
+        products = np.asarray(transposed @ self.products @ maps)
         return replace(
             self, products=products, first=self.first @ maps, last=self.last @ maps
         )
 
     def sums(self, weights: Array) -> Array:
-        """Of all lags and channels, half of what they are and of their transpose, (R, q, q).
+        """Weighted sums of the products over lags and channels, symmetrised, (R, q, q).
 
         Args:
-            weights: Of channels and lags, (R, C, K + 1).
+            weights: Weights of channels and lags, (R, C, K + 1).
         """
         total = weights.swapaxes(1, 2).reshape(len(weights), -1) @ self.flat
         total = total.reshape(-1, *self.products.shape[2:])
         return np.asarray(total + total.swapaxes(1, 2)) / 2
 
     def traces(self, inner: Array) -> Array:
-        """Traces of each lag's times a matrix, (R, C, K + 1).
+        """Traces of the products of each lag and channel times a matrix, (R, C, K + 1).
 
         Args:
-            inner: The matrices, symmetric, (R, q, q).
+            inner: Symmetric matrices, (R, q, q).
         """
         traces = inner.reshape(len(inner), -1) @ self.flat.T
         return traces.reshape(len(inner), *self.products.shape[:2]).swapaxes(1, 2)
 
     def squares(self, combinations: Array) -> Array:
-        """B' of each lag's products b, (R, C, K + 1).
+        """Quadratic forms `b' A b` of the products A of each lag and channel, (R, C, K + 1).
 
         Args:
-            combinations: Each b, (R, q).
+            combinations: Vectors b, (R, q).
         """
         squares = (self.products @ combinations.T) * combinations.T
         return np.asarray(squares.sum(axis=2).transpose(2, 1, 0))
 
     def moments(self, inner: Array, order: int) -> Array:
-        """z_(t-i)' B z_(t-j) summed over t >= P, (R, C, P + 1, P + 1).
+        """Lagged moments, sums of z_(t-i)' B z_(t-j) over t >= P, (R, C, P + 1, P + 1).
 
         Args:
-            inner: Each B, symmetric, (R, q, q).
-            order: P, at most K.
+            inner: Symmetric matrices B, (R, q, q).
+            order: Order P, at most K.
         """
         lag, last = np.arange(order + 1), self.last[:, :, self.lags - order :]
         head, tail = (
-            (_times(each[None], inner) @ each.swapaxes(2, 3)).sum(axis=1)
+            (_row_products(each[None], inner) @ each.swapaxes(2, 3)).sum(axis=1)
             for each in (self.first, last)
         )
         moments = self.traces(inner)[..., np.abs(np.subtract.outer(lag, lag))]
@@ -274,166 +291,185 @@ class LaggedProducts:
         return moments
 
     def with_constants(self, directions: Array) -> LaggedProducts:
-        """With constants after the unknowns' columns.
+        """Products with columns of constants inserted after the unknowns' columns.
+
+        In each channel, the column of a constant is the row indicator times the channel's
+        component.
 
         Args:
-            directions: Combinations of the channels, (C, k).
+            directions: Channel combinations with a constant offset, (C, k); for k = 0, the products
+                are unchanged.
         """
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
             return self
-        extended, own = (
+        extended, constants = (
             self.columns(np.r_[:m, [size - 1] * count, m:size]),
             slice(m, m + count),
         )
-        extended.products[..., own, :] *= directions[:, :, None]
+        extended.products[..., constants, :] *= directions[:, :, None]
         for each in (extended.products, extended.first, extended.last):
-            each[..., own] *= directions[:, None]
+            each[..., constants] *= directions[:, None]
         return extended
 
 
-class Whitened:
-    """Products of rows e_t = z_t - sum over i of a_i z_(t-i), t >= P, for each of R whitenings.
+class WhitenedProducts:
+    """Products of whitened rows e_t = z_t - sum of a_i z_(t-i), for R autoregressions.
 
-    With alpha = (1, -a), they are the products of lag k = 0 ... P times the sum of
-    alpha_i alpha_(i+k), less those of e_t before t = P and after the last row, zeros there. Only
-    sums of them are asked for, so that products are read once for all whitenings.
+    With alpha = (1, -a), they are the sum over lags k = 0 ... P of the lagged products times the
+    sum of alpha_i alpha_(i+k), from which the products of e_t before t = P and after the last row,
+    where z is zero, are subtracted. Only sums of whitened products are available, so that the
+    lagged products are read once for all whitenings.
     """
 
-    def __init__(self, given: LaggedProducts, coefficients: Array) -> None:
-        """Ready.
+    def __init__(self, products: LaggedProducts, coefficients: Array) -> None:
+        """Compute the weights of the lags and the whitened rows at the ends of sequences.
 
         Args:
-            given: Products of the rows.
-            coefficients: a of each whitening, channel by channel, (R, C, P), P at most K.
+            products: Lagged products of the rows.
+            coefficients: Coefficients a of each whitening and channel, (R, C, P), P at most K.
         """
-        alpha, order = prediction_errors(coefficients), coefficients.shape[2]
-        given, share = given.up_to(order), np.empty(alpha.shape)
+        alpha, order = whitening_filter(coefficients), coefficients.shape[2]
+        products, lag_weights = products.with_max_lag(order), np.empty(alpha.shape)
         for lag in range(order + 1):
-            share[..., lag] = (alpha[..., lag:] * alpha[..., : order + 1 - lag]).sum(
-                axis=2
-            )
-        share[..., 1:] *= 2  # a lag's products, and their transpose
-        self._given, self._share, self._edges = given, share, _edges(given, alpha)
-        if len(alpha) == 1:  # then once and for all
+            lag_weights[..., lag] = (
+                alpha[..., lag:] * alpha[..., : order + 1 - lag]
+            ).sum(axis=2)
+        lag_weights[..., 1:] *= 2  # a lag's products, and their transpose
+        self._products, self._lag_weights, self._edges = (
+            products,
+            lag_weights,
+            _edge_rows(products, alpha),
+        )
+        if len(alpha) == 1:  # sum over the lags once
             whole = self.sums(np.eye(alpha.shape[1]))
-            self._given = replace(given.up_to(0), products=whole[None])
-            self._share, self._edges = (
+            self._products = replace(products.with_max_lag(0), products=whole[None])
+            self._lag_weights, self._edges = (
                 np.ones((1, len(whole), 1)),
                 self._edges[..., :0, :],
             )
 
     def sums(self, weights: Array) -> Array:
-        """Of all channels, (R, q, q).
+        """Weighted sums of the whitened products over channels, (R, q, q).
 
         Args:
-            weights: Of the channels, (R, C).
+            weights: Weights of the channels, (R, C).
         """
-        whole = self._given.sums(weights[..., None] * self._share)
+        whole = self._products.sums(weights[..., None] * self._lag_weights)
         edges = self._edges * np.sqrt(weights)[:, None, :, None, None]
         edges = edges.reshape(len(edges), -1, edges.shape[-1])
         return whole - edges.swapaxes(1, 2) @ edges
 
     def traces(self, inner: Array) -> Array:
-        """Traces of each channel's times a matrix, (R, C).
+        """Traces of each channel's whitened products times a matrix, (R, C).
 
         Args:
-            inner: The matrices, symmetric, (R, q, q).
+            inner: Symmetric matrices, (R, q, q).
         """
-        edges = _times(self._edges, inner) * self._edges
-        whole = (self._share * self._given.traces(inner)).sum(axis=2)
+        edges = _row_products(self._edges, inner) * self._edges
+        whole = (self._lag_weights * self._products.traces(inner)).sum(axis=2)
         return np.asarray(whole - edges.sum(axis=(1, 3, 4)))
 
     def squares(self, combinations: Array) -> Array:
-        """Of one combination of the columns for each whitening, channel by channel, (R, C).
+        """Sum of squares of a combination of whitened columns in each channel, (R, C).
 
         Args:
-            combinations: (R, q).
+            combinations: Combination of the columns for each whitening, (R, q).
         """
-        edges = _times(self._edges, combinations[..., None])[..., 0]
-        whole = (self._share * self._given.squares(combinations)).sum(axis=2)
+        edges = _row_products(self._edges, combinations[..., None])[..., 0]
+        whole = (self._lag_weights * self._products.squares(combinations)).sum(axis=2)
         return np.asarray(whole - (edges**2).sum(axis=(1, 3)))
 
 
-def _edges(given: LaggedProducts, alpha: Array) -> Array:
-    """e_t before t = P and after the last row, zeros there, (R, 2 S, C, P, q)."""
+def _edge_rows(products: LaggedProducts, alpha: Array) -> Array:
+    """Whitened rows before t = P and after the last row, (R, 2 S, C, P, q).
+
+    Args:
+        products: Lagged products up to lag P; rows outside of a sequence are taken as zero.
+        alpha: Coefficients of the whitening filters, (R, C, P + 1).
+    """
     order = alpha.shape[2] - 1
-    before, after = np.zeros((2, len(alpha), *given.first.shape))
+    before, after = np.zeros((2, len(alpha), *products.first.shape))
     for i in range(order + 1):
-        share = alpha[:, None, :, i, None, None]
-        before[..., i:, :] += share * given.first[:, :, : order - i]
-        after[..., :i, :] += share * given.last[:, :, order - i :]
+        coefficient = alpha[:, None, :, i, None, None]
+        before[..., i:, :] += coefficient * products.first[:, :, : order - i]
+        after[..., :i, :] += coefficient * products.last[:, :, order - i :]
     return np.concatenate([before, after], axis=1)
 
 
-def _times(rows: Array, matrices: Array) -> Array:
-    """Each response's rows times its matrix: one product for all of them, (R, S, C, k, r).
+def _row_products(rows: Array, matrices: Array) -> Array:
+    """Rows times the matrix of each response, in one matrix product, (R, S, C, k, r).
 
     Args:
-        rows: (R, S, C, k, q), or (1, S, C, k, q) where they are the same.
-        matrices: (R, q, r).
+        rows: Rows of each response, (R, S, C, k, q), or (1, S, C, k, q) where they are the same.
+        matrices: Matrices, (R, q, r).
     """
     products = rows.reshape(len(rows), -1, rows.shape[-1]) @ matrices
     return products.reshape(len(matrices), *rows.shape[1:-1], matrices.shape[-1])
 
 
 class LaggedSums:
-    """Adds up products of rows as they come, of each channel's columns from the first in use on."""
+    """Accumulator of lagged products over blocks of consecutive rows.
+
+    In each channel, only columns with nonzero entries in or just before the block are multiplied.
+    """
 
     def __init__(self, lags: int) -> None:
-        """Nothing yet.
+        """Start with zero sums.
 
         Args:
-            lags: The largest lag K.
+            lags: Largest lag K.
         """
         self._lags = lags
         self._rows = 0
         self._products: Array | None = None
         self._edges: list[tuple[Array, Array]] = []
-        self._begin()
+        self._begin_sequence()
 
-    def _begin(self) -> None:
-        """A sequence without rows."""
-        self._since = 0
+    def _begin_sequence(self) -> None:
+        """Start an empty sequence."""
+        self._sequence_rows = 0
         self._first: list[Array] = []
         self._recent: Array | None = None
 
     def add(self, block: Array) -> None:
-        """Go on with consecutive rows, (C, rows, q)."""
+        """Add a block of consecutive rows, (C, rows, q)."""
         channels, rows, width = block.shape
         if self._products is None:
             self._products = np.zeros((self._lags + 1, channels, width, width))
         if self._recent is None:
             self._recent = np.zeros((channels, self._lags, width))
-        missing = self._lags - self._since
+        missing = self._lags - self._sequence_rows
         if missing > 0:
             self._first.append(block[:, :missing])
-        run = np.concatenate([self._recent, block], axis=1)
-        for channel, each in enumerate(run):
+        extended = np.concatenate([self._recent, block], axis=1)
+        for channel, each in enumerate(extended):
             used = each.any(axis=0).nonzero()[0]
             part = each[:, used]
-            before = np.lib.stride_tricks.sliding_window_view(part, rows, axis=0)[::-1]
-            for products, then in zip(self._products[:, channel], before, strict=True):
-                products[used[:, None], used] += part[self._lags :].T @ then.T
+            lagged = np.lib.stride_tricks.sliding_window_view(part, rows, axis=0)[::-1]
+            for products, earlier in zip(
+                self._products[:, channel], lagged, strict=True
+            ):
+                products[used[:, None], used] += part[self._lags :].T @ earlier.T
         self._rows += rows
-        self._since += rows
-        self._recent = run[:, rows:]
+        self._sequence_rows += rows
+        self._recent = extended[:, rows:]
 
-    def pause(self) -> None:
-        """What comes next does not follow what came last."""
-        self._edges += self._open()
-        self._begin()
+    def end_sequence(self) -> None:
+        """End the sequence: the next rows do not follow the last row."""
+        self._edges += self._current_edges()
+        self._begin_sequence()
 
-    def finish(self) -> LaggedProducts:
-        """The sums."""
+    def lagged_products(self) -> LaggedProducts:
+        """Lagged products of all rows."""
         assert self._products is not None, "sums of no rows"
-        first, last = zip(*self._edges, *self._open(), strict=True)
+        first, last = zip(*self._edges, *self._current_edges(), strict=True)
         return LaggedProducts(
             self._rows, self._products, np.stack(first), np.stack(last)
         )
 
-    def _open(self) -> list[tuple[Array, Array]]:
-        """First and last rows of the sequence that is not closed, if it has any."""
+    def _current_edges(self) -> list[tuple[Array, Array]]:
+        """First and last K rows of the current sequence, (C, K, q) each; empty without rows."""
         if self._recent is None:
             return []
         channels, _, columns = self._recent.shape

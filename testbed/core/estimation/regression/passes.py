@@ -1,7 +1,7 @@
-"""Passes over the samples: window by window, on several threads, in constant memory.
+"""Passes over the samples, window by window, on several threads, in constant memory.
 
-Windows and the order in which their answers come are the same whatever the source and the
-number of threads, and so is, to the bit, all that is computed from them.
+Windows and the order of their results do not depend on the source or the number of threads, so that
+all numbers computed from them are bitwise reproducible.
 """
 
 from __future__ import annotations
@@ -24,58 +24,58 @@ from testbed.core.base.stages import Progress
 from testbed.core.estimation.regression.windows import Plan, Window
 from testbed.core.kernel import numpy_engine
 from testbed.core.kernel.layout import Layout
-from testbed.core.kernel.records import Block, Signals, Sums, sensed
-from testbed.core.recordings.columns import LARGEST, check_times, check_values
+from testbed.core.kernel.records import Block, SignalWindow, Sums, signals_of_motion
+from testbed.core.recordings.columns import MAX_VALUE, check_times, check_values
 from testbed.core.recordings.recording import Recording
 
-SAMPLES = 20_000
-"""How many are looked at, about: enough to see ranges and limits, few enough to cost nothing."""
+SURVEY_SAMPLES = 20_000
+"""Approximate number of samples of a survey: enough to show ranges and limits."""
 
-ORDER = 8
-"""Of the differences of positions: of a motion at a tenth of the sampling rate they leave 2 %."""
+DIFFERENCE_ORDER = 8
+"""Order of the differences of positions: of a motion at a tenth of the sampling rate 2 % remain."""
 
-HELD = 0.1
-"""Part of the samples at which poses are recorded again, from which the encoders are slower."""
+MAX_HELD_FRACTION = 0.1
+"""Largest fraction of repeated poses; above it the encoders are sampled more slowly."""
 
-COUNTING = 0.05
-"""Part of the square of a row's weights on samples that count, from which the row does."""
+MIN_INCLUDED_SHARE = 0.05
+"""Smallest part of the square of a row's weights on included samples for the row to be included."""
 
-STRETCH = 256
-"""Samples whose noise is averaged; of such means, the middle one counts: spikes are no noise."""
+NOISE_SEGMENT = 256
+"""Number of samples over which squared noise is averaged; the median of the averages is robust
+against spikes."""
 
 
 class Repeats(NamedTuple):
-    """How often a sample is the same as the one before, while the encoders' are not.
+    """Counts of samples equal to the previous sample although the encoder readings differ.
 
     Attributes:
-        steps: Pairs of samples whose encoders differ.
-        channels: Of these, those in which a channel is the same, (C,).
-        together: Those in which all channels are.
-        held: Samples after such a one whose encoders are as they were: poses that were recorded
-            again.
-        pairs: Of samples.
+        moving_pairs: Number of pairs of consecutive samples with different encoder readings.
+        equal_by_channel: Number of these pairs in which a channel is equal, (C,).
+        all_equal: Number of these pairs in which all channels are equal.
+        repeated_poses: Number of these pairs followed by a sample with equal encoder readings,
+            which is a repeated pose.
+        pairs: Number of pairs of consecutive samples.
     """
 
-    steps: int
-    channels: Array
-    together: int
-    held: int
+    moving_pairs: int
+    equal_by_channel: Array
+    all_equal: int
+    repeated_poses: int
     pairs: int
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Samples of the raw signals.
+    """Subsample of the raw signals, with repeats, noise and least counts of the encoders.
 
     Attributes:
-        position: Encoders, (m, n) [rad or m].
-        measured: Motor torques, (m, n) [N m or N], or the plate's wrench without its tare,
-            (m, 6) [N, N m].
-        repeats: How often samples are like the ones before, among all samples.
-        encoder_noise: Standard deviations, as if it were white, (n,) [rad or m]; zero where poses
-            are recorded again.
-        encoder_count: Least count of encoders that show whole counts and no noise between; zero
-            for others, (n,) [rad or m].
+        position: Encoder positions, (m, n) [rad or m].
+        measured: Motor torques, (m, n) [N m or N], or wrench without tare, (m, 6) [N, N m].
+        repeats: Numbers of repeated samples, among all samples.
+        encoder_noise: Standard deviation of the encoders' noise, assumed white, (n,) [rad or m];
+            zero for repeated poses.
+        encoder_count: Least count of encoders whose quantization exceeds their noise; zero for the
+            others, (n,) [rad or m].
     """
 
     position: Array
@@ -86,167 +86,223 @@ class Survey:
 
 
 class Surveyor:
-    """Gathers a survey from windows, in whatever order they come."""
+    """Accumulator of the `Survey` of a recording over its windows, in any order."""
 
     def __init__(self, samples: int) -> None:
-        """Nothing yet, of a recording of that many samples."""
-        self.stride = max(1, samples // SAMPLES)
-        self._looks: dict[int, tuple[Array, Array, Repeats]] = {}
-        self._closely: dict[int, tuple[Array, Array]] = {}
+        """Start a survey of a recording with the given number of samples."""
+        self.stride = max(1, samples // SURVEY_SAMPLES)
+        self._subsamples: dict[int, tuple[Array, Array, Repeats]] = {}
+        self._noise_by_window: dict[int, tuple[Array, Array]] = {}
 
-    def look(
-        self, signals: Signals, first: int, count: int, closely: bool = True
+    def add(
+        self, signals: SignalWindow, first: int, count: int, analyse_noise: bool = True
     ) -> None:
-        """Keep some of a window's samples.
+        """Add a subsample of a window, its repeated samples and its encoder noise.
 
         Args:
-            signals: The window's.
-            first: Number of its first sample.
-            count: How many samples are its own: the next window has the others, too.
-            closely: Whether its encoders' noise and counts are wanted: some windows show them.
+            signals: Signals of the window.
+            first: Index of the window's first sample.
+            count: Number of samples before the first sample of the next window.
+            analyse_noise: True to estimate the encoders' noise and least counts.
         """
-        own = slice(-first % self.stride, count, self.stride)
+        kept_samples = slice(-first % self.stride, count, self.stride)
         position, measured = signals.position, signals.measured
-        repeats = _repeats(position[: count + 1], measured[: count + 1])
-        self._looks[first] = position[own].copy(), measured[own].copy(), repeats
-        if closely:
-            noise = _each(noise_square, position[: count + ORDER])
-            self._closely[first] = noise, _each(_least_count, position[: count + 1])
+        repeats = _count_repeats(position[: count + 1], measured[: count + 1])
+        self._subsamples[first] = (
+            position[kept_samples].copy(),
+            measured[kept_samples].copy(),
+            repeats,
+        )
+        if analyse_noise:
+            noise = _per_encoder(noise_variance, position[: count + DIFFERENCE_ORDER])
+            self._noise_by_window[first] = (
+                noise,
+                _per_encoder(_least_count, position[: count + 1]),
+            )
 
     def survey(self) -> Survey:
-        """All that was kept, in the order of time."""
-        looks = zip(*(self._looks[first] for first in sorted(self._looks)), strict=True)
-        positions, measured, each = looks
-        repeats = Repeats(*(sum(counts) for counts in zip(*each, strict=True)))
-        rough, least = zip(
-            *(self._closely[k] for k in sorted(self._closely)), strict=True
+        """Subsample, repeats, encoder noise and least counts of all windows, in time order.
+
+        Noise and least counts are medians over windows. The noise is zero if the fraction of
+        repeated poses is at least MAX_HELD_FRACTION.
+        """
+        parts = zip(
+            *(self._subsamples[first] for first in sorted(self._subsamples)),
+            strict=True,
         )
-        # poses that were recorded again say nothing of it
-        noise = (repeats.held < HELD * repeats.pairs) * np.sqrt(
-            np.median(rough, axis=0)
+        positions, measured, repeats_by_window = parts
+        repeats = Repeats(
+            *(sum(counts) for counts in zip(*repeats_by_window, strict=True))
         )
-        counts = _without_noise(np.stack(least), noise)
+        noise_squares, least_counts = zip(
+            *(self._noise_by_window[k] for k in sorted(self._noise_by_window)),
+            strict=True,
+        )
+        # repeated poses do not show the noise
+        noise = (repeats.repeated_poses < MAX_HELD_FRACTION * repeats.pairs) * np.sqrt(
+            np.median(noise_squares, axis=0)
+        )
+        counts = _counts_above_noise(np.stack(least_counts), noise)
         return Survey(
             np.concatenate(positions), np.concatenate(measured), repeats, noise, counts
         )
 
 
-def _repeats(position: Array, measured: Array) -> Repeats:
-    # a product of booleans is true where any is: ten times faster than `any` along short rows
-    any_joint, any_channel = (
-        np.ones(each.shape[1], np.bool_) for each in (position, measured)
-    )
-    moved = (position[1:] != position[:-1]) @ any_joint
-    held = int(np.sum(moved[:-1] & ~moved[1:]))
-    same = measured[1:] == measured[:-1]
-    same = same[moved & (same @ any_channel)]
-    channels = same.sum(axis=0).astype(np.float64)
-    together = len(same) - int(np.sum(~same @ any_channel))
-    return Repeats(int(np.sum(moved)), channels, together, held, len(moved))
-
-
-def _each(number: Callable[[Array], float], position: Array) -> Array:
-    """A number of every encoder, (n,): column by column, which fits into a cache."""
-    return np.array([number(column) for column in np.ascontiguousarray(position.T)])
-
-
-def noise_square(position: Array) -> float:
-    """Mean square of white noise in consecutive positions; zero where they are too few.
+def _count_repeats(position: Array, measured: Array) -> Repeats:
+    """Count samples equal to the previous sample, in encoders and channels.
 
     Args:
-        position: Of one encoder, (m,) [rad or m].
+        position: Encoder positions, (m, n).
+        measured: Samples of the channels, (m, C).
     """
-    rough = np.diff(position, ORDER)
-    if not len(rough):
+    # a product of booleans is true where any is: ten times faster than `any` along short rows
+    any_joint, any_channel = (
+        np.ones(signal.shape[1], np.bool_) for signal in (position, measured)
+    )
+    moved = (position[1:] != position[:-1]) @ any_joint
+    held_count = int(np.sum(moved[:-1] & ~moved[1:]))
+    equal = measured[1:] == measured[:-1]
+    equal = equal[moved & (equal @ any_channel)]
+    channels = equal.sum(axis=0).astype(np.float64)
+    together = len(equal) - int(np.sum(~equal @ any_channel))
+    return Repeats(int(np.sum(moved)), channels, together, held_count, len(moved))
+
+
+def _per_encoder(quantity: Callable[[Array], float], position: Array) -> Array:
+    """Values of a function of each encoder's positions, (n,).
+
+    Args:
+        quantity: Function of the positions of one encoder, (m,).
+        position: Encoder positions, (m, n).
+    """
+    return np.array([quantity(column) for column in np.ascontiguousarray(position.T)])
+
+
+def noise_variance(position: Array) -> float:
+    """Mean square of white noise in consecutive positions; zero for too few positions.
+
+    Differences of order DIFFERENCE_ORDER remove the motion. The result is the median of their mean
+    squares over segments of NOISE_SEGMENT samples.
+
+    Args:
+        position: Positions of one encoder, (m,) [rad or m].
+    """
+    differences = np.diff(position, DIFFERENCE_ORDER)
+    if not len(differences):
         return 0.0
-    starts = np.arange(0, max(len(rough) - STRETCH, 0) + 1, STRETCH)
-    ends = np.append(starts[1:], len(rough))
-    sums = np.add.reduceat(rough**2, starts) / (ends - starts)
-    return float(np.median(sums)) / comb(2 * ORDER, ORDER)
+    starts = np.arange(0, max(len(differences) - NOISE_SEGMENT, 0) + 1, NOISE_SEGMENT)
+    ends = np.append(starts[1:], len(differences))
+    means = np.add.reduceat(differences**2, starts) / (ends - starts)
+    return float(np.median(means)) / comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER)
 
 
 def _least_count(position: Array) -> float:
-    """Of consecutive positions; zero where there is none, nan where few differ a little."""
+    """Least count of an encoder; zero without quantisation, nan if undetermined.
+
+    Of at least 16 changes up to 4.5 times the smallest change, 95 % have to be multiples of it.
+
+    Args:
+        position: Consecutive positions of one encoder, (m,) [rad or m].
+    """
     changes = np.abs(np.diff(position))
-    least = changes.min(initial=np.inf, where=changes > 0)
-    few = changes[changes < 4.5 * least]
-    few = few[few > 0]
-    # small changes of a position by which its least count is known
-    if len(few) < 16:
+    smallest = changes.min(initial=np.inf, where=changes > 0)
+    small_changes = changes[changes < 4.5 * smallest]
+    small_changes = small_changes[small_changes > 0]
+    # smallest number of small changes that determines a least count
+    if len(small_changes) < 16:
         return float("nan")
-    count = float(few[few < 1.5 * least].mean())
-    # part of a count by which differences may be no whole counts: what rounding makes of them
-    whole = np.abs(few / count - np.round(few / count)) < 0.1
-    # part of the smallest differences that are whole counts, if a position is in counts
-    return count if whole.mean() >= 0.95 else 0.0
+    count = float(small_changes[small_changes < 1.5 * smallest].mean())
+    # largest deviation of a difference from a multiple of the least count, by rounding
+    is_whole = np.abs(small_changes / count - np.round(small_changes / count)) < 0.1
+    # smallest share of differences that are multiples of the least count
+    return count if is_whole.mean() >= 0.95 else 0.0
 
 
-def _without_noise(counts: Array, noise: Array) -> Array:
-    """Least counts of all windows, (windows, n), where noise, (n,), does not blur them."""
-    least = np.nanmedian(np.where(np.isnan(counts).all(axis=0), 0.0, counts), axis=0)
-    # counts of noise that blur the counts: of rounding alone there are 0.29 at most
-    return np.where(noise < 0.4 * least, least, 0.0)
+def _counts_above_noise(counts: Array, noise: Array) -> Array:
+    """Median least count of each encoder, (n,); zero for noise above 0.4 counts.
+
+    Args:
+        counts: Least counts in each window, (windows, n); nan where unknown.
+        noise: Standard deviation of the encoders' noise, (n,).
+    """
+    least_counts = np.nanmedian(
+        np.where(np.isnan(counts).all(axis=0), 0.0, counts), axis=0
+    )
+    # noise in least counts above which these are blurred; rounding alone makes 0.29 at most
+    return np.where(noise < 0.4 * least_counts, least_counts, 0.0)
 
 
-Columns = Callable[[Signals, int], Array]
-"""Columns of a window's rows, (C, rows, s), of its signals and the number of its first row."""
+ColumnFunction = Callable[[SignalWindow, int], Array]
+"""Function that returns additional columns of a window, (C, rows, s), from its signals and the
+index of its first row."""
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
-SMALL = 0.05
-"""Seconds that NumPy may take for rows; longer jobs are worth loading the compiled kernel, 0.4 s:
-few commands make rows once. Both methods do, filters that are tried, coarse encoders."""
+MIN_COMPILED_SECONDS = 0.05
+"""Computing time of NumPy for rows above which the compiled kernel is used [s]; it takes 0.4 s to
+load."""
 
 
 def is_compiled(plan: Plan) -> bool:
-    """Whether the compiled kernel makes a plan's rows: by size where NumPy takes longer."""
-    # seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured
+    """True if the compiled kernel is used: if NumPy would take MIN_COMPILED_SECONDS or more."""
+    # measured time of NumPy per sample, and per sample and number of `Layout.theta` [s]
     seconds = plan.source.samples * (4e-6 + 6e-9 * plan.layout.theta.size)
-    wanted = plan.engine == "compiled" or (
-        plan.engine == "by size" and seconds >= SMALL
+    preferred = plan.engine == "compiled" or (
+        plan.engine == "by size" and seconds >= MIN_COMPILED_SECONDS
     )
-    return wanted and plan.layout.compiles
+    return preferred and plan.layout.is_compiled
 
 
 def _engine(plan: Plan) -> Any:
-    """Module that makes a plan's rows."""
+    """Module that computes a plan's rows: compiled kernel or NumPy."""
     if not is_compiled(plan):
         return numpy_engine
-    from testbed.core.kernel import numba_engine  # loads Numba
+    from testbed.core.kernel import numba_engine  # imports Numba
 
     return numba_engine
 
 
 def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
-    """Rows of a motion by what makes a plan's, unfiltered, zero where measurements are, (slots, M).
+    """Unfiltered regressor rows of a motion, with zero measurements, (slots, M).
+
+    `slots` is the number of matrix entries per sample in the layout of the plan.
 
     Args:
-        plan: The rows.
+        plan: Plan of the rows.
         q: Positions, (M, n) [rad or m].
         qd: Velocities, (M, n).
         qdd: Accelerations, (M, n).
     """
-    signals, engine = sensed(q, qd, qdd, plan.layout.width), _engine(plan)
-    made = engine.rows(plan.layout, signals, engine.workspace(plan.layout, signals))
-    return np.concatenate([block.rows for block in made], axis=1)
+    signals, engine = (
+        signals_of_motion(q, qd, qdd, plan.layout.channel_count),
+        _engine(plan),
+    )
+    blocks = engine.rows(plan.layout, signals, engine.workspace(plan.layout, signals))
+    return np.concatenate([block.rows for block in blocks], axis=1)
 
 
-def of_unit_noise(
-    layout: Layout, signals: Signals, blocks: Sequence[Block]
+def scale_to_unit_noise(
+    layout: Layout, signals: SignalWindow, blocks: Sequence[Block]
 ) -> list[Block]:
-    """Rows whose samples are left out in part, their white noise as large as that of others.
+    """Scale rows with excluded samples to the white-noise variance of complete rows.
+
+    Rows with less than MIN_INCLUDED_SHARE of their squared weights on included samples become zero.
 
     Args:
-        layout: The rows.
-        signals: The window.
-        blocks: Its rows.
+        layout: Layout of the rows.
+        signals: Signals of the window.
+        blocks: Rows of the window.
     """
     squares = signals.weights**2 / np.sum(signals.weights**2)
-    at = signals.start + signals.step * np.arange(signals.number)
-    share = np.stack(
-        [np.convolve(each, squares, "same")[at] for each in signals.counts.T]
+    indices = signals.start + signals.step * np.arange(signals.row_count)
+    included_share = np.stack(
+        [np.convolve(each, squares, "same")[indices] for each in signals.sample_mask.T]
     )
-    scale = np.where(share < COUNTING, 0.0, np.maximum(share, COUNTING) ** -0.5)
+    scale = np.where(
+        included_share < MIN_INCLUDED_SHARE,
+        0.0,
+        np.maximum(included_share, MIN_INCLUDED_SHARE) ** -0.5,
+    )
     factor = np.repeat(scale, layout.rows.width, axis=0)
     scaled = []
     for block in blocks:
@@ -258,18 +314,18 @@ def of_unit_noise(
 
 
 class Passes:
-    """Answers questions about all rows of a plan, pass by pass."""
+    """Passes over all rows of a plan, for sums of products or the rows themselves."""
 
     def __init__(
         self, plan: Plan, threads: int | None, progress: Progress, number: int
     ) -> None:
-        """Ready for the first pass.
+        """Prepare the passes.
 
         Args:
-            plan: The rows.
-            threads: How many to use; default one a processor.
-            progress: Called with samples done and samples in all passes.
-            number: How many passes there will be.
+            plan: Plan of the rows.
+            threads: Number of threads; None for one per processor.
+            progress: Callback with the number of samples done and the total of all passes.
+            number: Number of passes, for progress reports.
         """
         self.number = number
         self.plan = plan
@@ -279,124 +335,160 @@ class Passes:
         self.done = 0
         self.surveyor, self._close_windows = (
             Surveyor(plan.source.samples),
-            plan.close_windows,
+            plan.analysed_windows,
         )
         self._workspaces: SimpleQueue[Any] = SimpleQueue()
-        self._kept: dict[int, list[Block]] = {}
-        # else made again as fast as read
+        self._cached_blocks: dict[int, list[Block]] = {}
+        # other rows are computed as fast as they are read
         thinned = not self.compiled or len(plan.weights) > 1
-        # bytes of rows that are kept from the first pass to the next: the first ones
-        self._rows_kept = 100e6 // (plan.layout.rows.slots * 8) if thinned else 0
+        # number of first rows that are cached between passes, up to 100 MB
+        self._cached_rows = 100e6 // (plan.layout.rows.slots * 8) if thinned else 0
 
     def sums(self) -> Iterator[Sums]:
-        """Products of all windows, in order; what was read is checked."""
-        return self._pass(self._sums)
+        """Sums of products of all windows in order, with a check of the samples read."""
+        return self._window_results(self._checked_sums)
 
     def rows(self, combined: Array) -> Iterator[tuple[Array, Array]]:
-        """All rows, a block at a time: combined columns, (C, k, q), and measurements, (C, k).
+        """Blocks of all rows: combined columns, (C, k, q), and measurements, (C, k).
 
         Args:
-            combined: How the unknowns' columns are combined, (p, q).
+            combined: Matrix that combines the columns, (p, q).
         """
-        return ((columns, measured) for columns, measured in self.rows_beside(combined))
+        return (
+            (columns, measured)
+            for columns, measured in self.rows_with_columns(combined)
+        )
 
-    def rows_beside(
-        self, combined: Array, *beside: Columns | None, gaps: bool = True
+    def rows_with_columns(
+        self,
+        combined: Array,
+        *column_functions: ColumnFunction | None,
+        gaps: bool = True,
     ) -> Iterator[tuple[Array, ...]]:
-        """The same with further columns between the two, (C, k, s) by each that makes some.
+        """Yield blocks of all rows: combined columns, additional columns, and measurements.
 
         Args:
-            combined: How the unknowns' columns are combined, (p, q).
-            beside: Make the further columns of a window, (C, rows, s); None makes none.
-            gaps: Whether rows that gaps leave out are zero; else they are skipped.
+            combined: Matrix that combines the columns, (p, q).
+            column_functions: Functions that return additional columns of a window, (C, rows, s)
+                each; None for no columns.
+            gaps: True to yield zero rows for gaps; else gaps are skipped.
         """
         layout, done = self.plan.layout, 0
         basis = layout.basis @ combined
-        answers = self._pass(partial(self._rows, beside))
-        for window, (blocks, further) in zip(self.plan.windows(), answers, strict=True):
-            # what a gap leaves out counts for nothing, but takes its time
+        results = self._window_results(
+            partial(self._rows_and_columns, column_functions)
+        )
+        for window, (blocks, extra_columns) in zip(
+            self.plan.windows(), results, strict=True
+        ):
+            # rows in a gap are zero, so that time lags stay correct
             if gaps and window.row > done:
-                widths = basis.shape[1], *(each.shape[2] for each in further)
-                gap = layout.width, window.row - done
+                widths = basis.shape[1], *(each.shape[2] for each in extra_columns)
+                gap = layout.channel_count, window.row - done
                 yield *(np.zeros((*gap, width)) for width in widths), np.zeros(gap)
             done, first = window.row + window.rows, 0
             for block in blocks:
                 last = first + block.shape[1]
-                parts = (each[:, first:last] for each in further)
-                yield layout.combined(block, basis), *parts, block[layout.rows.measured]
+                parts = (each[:, first:last] for each in extra_columns)
+                yield (
+                    layout.combine_columns(block, basis),
+                    *parts,
+                    block[layout.rows.measured],
+                )
                 first = last
 
-    def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
+    def _window_results(
+        self, compute: Callable[[Recording, Window], Result]
+    ) -> Iterator[Result]:
+        """Yield results of a function for all windows, in order, computed by several threads.
+
+        Args:
+            compute: Function of a window's samples and of the window.
+        """
         with ThreadPoolExecutor(self.threads) as pool:
-            pending: deque[tuple[Window, Future[Answer]]] = deque()
+            pending: deque[tuple[Window, Future[Result]]] = deque()
             try:
                 for window in self.plan.windows():
                     part = self.plan.source.part(window.first, window.last)
-                    answer: Future[Answer] = Future()
+                    future: Future[Result] = Future()
                     if self.threads > 1:
-                        answer = pool.submit(ask, part, window)
+                        future = pool.submit(compute, part, window)
                     else:
-                        answer.set_result(ask(part, window))
-                    pending.append((window, answer))
+                        future.set_result(compute(part, window))
+                    pending.append((window, future))
                     if len(pending) > self.threads or self.threads == 1:
-                        yield self._next(pending)
+                        yield self._next_result(pending)
                 while pending:
-                    yield self._next(pending)
+                    yield self._next_result(pending)
             finally:
                 pool.shutdown(cancel_futures=True)
 
-    def _next(self, pending: deque[tuple[Window, Future[Answer]]]) -> Answer:
-        window, answer = pending.popleft()
-        result = answer.result()
+    def _next_result(self, pending: deque[tuple[Window, Future[Result]]]) -> Result:
+        """Wait for the oldest pending result and report progress."""
+        window, future = pending.popleft()
+        result = future.result()
         self.done += window.rows * self.plan.step
         self.progress(self.done, self.number * self.plan.rows * self.plan.step)
         return result
 
-    def _sums(self, part: Recording, window: Window) -> Sums:
+    def _checked_sums(self, part: Recording, window: Window) -> Sums:
+        """Sums of products of a window, after its samples were checked and surveyed."""
         check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
         signals = self.plan.signals(part, window)
         sums = self._products(signals, window)
-        closely = window.row in self._close_windows
-        self.surveyor.look(signals, window.first, self.plan.own(window), closely)
-        if not sums.squares[0] < LARGEST**2:  # what is no number is not
+        analyse_noise = window.row in self._close_windows
+        self.surveyor.add(
+            signals, window.first, self.plan.own_sample_count(window), analyse_noise
+        )
+        if not sums.squares[0] < MAX_VALUE**2:  # false for nan
             check_values(part.columns(), "the recording", window.first)
         return sums
 
-    def _products(self, signals: Signals, window: Window) -> Sums:
+    def _products(self, signals: SignalWindow, window: Window) -> Sums:
+        """Sums of products of a window's rows, by the compiled kernel or by NumPy."""
         layout = self.plan.layout
-        if self._keeps(window) or not self.compiled or len(signals.counts):
-            return numpy_engine.sweep(layout, signals, self._blocks(signals, window))
+        if self._is_cached(window) or not self.compiled or len(signals.sample_mask):
+            return numpy_engine.row_products(
+                layout, signals, self._blocks(signals, window)
+            )
         with self._workspace(signals) as work:
-            sums: Sums = self._engine.sweep(layout, signals, work)
+            sums: Sums = self._engine.row_products(layout, signals, work)
         return sums
 
-    def _rows(
-        self, beside: Sequence[Columns | None], part: Recording, window: Window
+    def _rows_and_columns(
+        self,
+        column_functions: Sequence[ColumnFunction | None],
+        part: Recording,
+        window: Window,
     ) -> tuple[list[Array], list[Array]]:
+        """Rows of a window, block by block, and its additional columns."""
         signals = self.plan.signals(part, window)
-        none = np.zeros((self.plan.layout.width, window.rows, 0))
-        further = [
-            none if make is None else make(signals, window.row) for make in beside
+        no_columns = np.zeros((self.plan.layout.channel_count, window.rows, 0))
+        extra_columns = [
+            no_columns if function is None else function(signals, window.row)
+            for function in column_functions
         ]
-        return [block.rows for block in self._blocks(signals, window)], further
+        return [block.rows for block in self._blocks(signals, window)], extra_columns
 
-    def _blocks(self, signals: Signals, window: Window) -> list[Block]:
-        if window.row in self._kept:
-            return self._kept[window.row]
+    def _blocks(self, signals: SignalWindow, window: Window) -> list[Block]:
+        """Rows of a window, block by block; cached for the first windows."""
+        if window.row in self._cached_blocks:
+            return self._cached_blocks[window.row]
         with self._workspace(signals) as work:
-            made: list[Block] = self._engine.rows(self.plan.layout, signals, work)
-        if len(signals.counts):
-            made = of_unit_noise(self.plan.layout, signals, made)
-        if self._keeps(window):
-            self._kept[window.row] = made
-        return made
+            blocks: list[Block] = self._engine.rows(self.plan.layout, signals, work)
+        if len(signals.sample_mask):
+            blocks = scale_to_unit_noise(self.plan.layout, signals, blocks)
+        if self._is_cached(window):
+            self._cached_blocks[window.row] = blocks
+        return blocks
 
-    def _keeps(self, window: Window) -> bool:
-        return window.row + window.rows <= self._rows_kept
+    def _is_cached(self, window: Window) -> bool:
+        """True if the rows of a window are cached between passes."""
+        return window.row + window.rows <= self._cached_rows
 
     @contextmanager
-    def _workspace(self, signals: Signals) -> Iterator[Any]:
-        """A workspace that no other thread is using."""
+    def _workspace(self, signals: SignalWindow) -> Iterator[Any]:
+        """Context manager for a kernel workspace that no other thread uses."""
         try:
             work = self._workspaces.get_nowait()
         except Empty:

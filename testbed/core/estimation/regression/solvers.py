@@ -1,4 +1,4 @@
-"""Weighted least squares by normal equations, or by a QR of all rows."""
+"""Weighted least squares by normal equations, or by a QR decomposition of all rows."""
 
 from __future__ import annotations
 
@@ -12,28 +12,36 @@ from scipy import linalg
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
-from testbed.core.base.errors import UnknownName, UnseenParameters
+from testbed.core.base.errors import UnidentifiableParameters, UnknownName
 from testbed.core.estimation.regression.normal_equations import (
     NormalEquations,
     inverse_and_solution,
     unit_diagonal,
 )
 
-PRECISION = 1e-7
-"""Least noise of a channel relative to its measurement: what sums of products can resolve."""
+MIN_RELATIVE_NOISE = 1e-7
+"""Smallest noise of a channel relative to its measurement that sums of products resolve."""
 
 
 def noise_weights(equations: NormalEquations) -> Array:
-    """Weights of the channels, (C,): one over the variance of each one's own noise.
+    """Weights of the channels, (C,): inverse variances of their noise, estimated iteratively.
+
+    The variances are mean squared residuals of weighted fits, in four iterations, limited below by
+    MIN_RELATIVE_NOISE.
 
     Args:
-        equations: Of all rows.
+        equations: Normal equations of all rows.
     """
     rms = equations.rms
-    floor = np.maximum(PRECISION * rms, PRECISION**2 * (rms.max() or 1.0))
-    share = len(equations.unknowns) / len(rms)
-    free, weights = np.maximum(equations.used - share, 1.0), np.ones(len(rms))
-    # times that the channels' noise is estimated anew from the residuals
+    floor = np.maximum(
+        MIN_RELATIVE_NOISE * rms, MIN_RELATIVE_NOISE**2 * (rms.max() or 1.0)
+    )
+    unknowns_per_channel = len(equations.unknowns) / len(rms)
+    free, weights = (
+        np.maximum(equations.used - unknowns_per_channel, 1.0),
+        np.ones(len(rms)),
+    )
+    # iterations: noise variances from the residuals, then new weights
     for _ in range(4):
         values = minimum_norm(equations.matrix(weights), equations.vector(weights))
         squares = equations.residual(values)
@@ -42,30 +50,31 @@ def noise_weights(equations: NormalEquations) -> Array:
 
 
 def minimum_norm(matrix: Array, vector: Array) -> Array:
-    """Solution of least norm of matrix x = vector, with unit diagonal, whatever the condition.
+    """Minimum-norm solution of matrix x = vector, scaled to unit diagonal, for any rank.
 
     Args:
-        matrix: Symmetric, (p, p).
-        vector: (p,).
+        matrix: Symmetric matrix, (p, p).
+        vector: Right-hand side, (p,).
     """
     unit, scale = unit_diagonal(matrix)
     return np.asarray(np.linalg.lstsq(unit, vector / scale, rcond=1e-13)[0] / scale)
 
 
 Rows = Callable[[Array], Iterator[tuple[Array, Array]]]
-"""Starts a pass over all rows, with columns combined by a matrix, (p, q): blocks of combined
-columns, (C, k, q), and of measurements, (C, k)."""
+"""Function that starts a pass over all rows. Its argument is a matrix that combines the columns,
+(p, q); it yields blocks of combined columns, (C, k, q), and of measurements, (C, k)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A weighted least-squares solution.
+    """Weighted least-squares solution.
 
     Attributes:
-        values: (p,); nan for what no weighted channel sees.
-        inverse: Inverse of X' W X, (p, p); nan likewise.
-        weights: Of the channels, (C,).
-        condition: Of the weighted equations with columns of unit length.
+        values: Values of the unknowns, (p,); nan for unknowns without influence on a weighted
+            channel.
+        inverse: Inverse of X' W X, (p, p); nan for the same unknowns.
+        weights: Weights of the channels, (C,).
+        condition: Condition number of the weighted equations with columns of unit length.
     """
 
     values: Array
@@ -74,56 +83,85 @@ class Fit:
     condition: float
 
 
-def refuse(names: Sequence[str], directions: Array, rows: int) -> NoReturn:
-    """Raise with the names of the unknowns that have a part in directions, (k, p), unseen."""
-    parts = abs(directions).max(axis=0)
-    # part in a direction that the data miss beyond which an unknown is named
-    unseen = [name for name, part in zip(names, parts, strict=True) if part > 0.1]
-    raise UnseenParameters(unseen, len(names) - len(directions), len(names), rows)
+def raise_unidentifiable_parameters(
+    names: Sequence[str], directions: Array, rows: int
+) -> NoReturn:
+    """Raise UnidentifiableParameters with the names of the unknowns in undetermined directions.
 
-
-def by_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
-    """The solution for given weights; errors grow with the square of the condition.
+    Unknowns with a component above 0.1 in an undetermined direction are named.
 
     Args:
-        equations: Of all rows.
-        weights: Of the channels, (C,).
+        names: Names of the unknowns, (p,).
+        directions: Undetermined directions, (k, p).
+        rows: Number of rows.
 
     Raises:
-        UnseenParameters: The equations do not determine all they see; names them.
+        UnidentifiableParameters: Always.
+    """
+    shares = abs(directions).max(axis=0)
+    # component in an undetermined direction above which an unknown is named
+    unseen = [name for name, share in zip(names, shares, strict=True) if share > 0.1]
+    raise UnidentifiableParameters(
+        unseen, len(names) - len(directions), len(names), rows
+    )
+
+
+def solve_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
+    """Solve the weighted normal equations.
+
+    Rounding errors grow with the square of the condition number. Unknowns without influence on a
+    weighted channel are nan.
+
+    Args:
+        equations: Normal equations of all rows.
+        weights: Weights of the channels, (C,).
+
+    Raises:
+        UnidentifiableParameters: The equations do not determine all unknowns that influence them;
+            lists the names.
     """
     matrix, vector, rows = (
         equations.matrix(weights),
         equations.vector(weights),
         equations.rows,
     )
-    present = np.flatnonzero(np.diagonal(matrix))
-    if not len(present):
-        raise UnseenParameters(equations.unknowns, 0, len(equations.unknowns), rows)
-    part = matrix[np.ix_(present, present)]
-    spread, directions = eigh(unit_diagonal(part)[0])
-    lost = spread <= len(spread) * np.finfo(float).eps * spread[-1]
-    if lost.any():
-        refuse([equations.unknowns[k] for k in present], directions[:, lost].T, rows)
-    values, inverse = np.full(len(matrix), np.nan), np.full(matrix.shape, np.nan)
-    inverse[np.ix_(present, present)], values[present] = inverse_and_solution(
-        part, vector[present]
+    nonzero = np.flatnonzero(np.diagonal(matrix))
+    if not len(nonzero):
+        raise UnidentifiableParameters(
+            equations.unknowns, 0, len(equations.unknowns), rows
+        )
+    submatrix = matrix[np.ix_(nonzero, nonzero)]
+    eigenvalues, directions = eigh(unit_diagonal(submatrix)[0])
+    undetermined = (
+        eigenvalues <= len(eigenvalues) * np.finfo(float).eps * eigenvalues[-1]
     )
-    return Fit(values, inverse, weights, float(np.sqrt(spread[-1] / spread[0])))
+    if undetermined.any():
+        raise_unidentifiable_parameters(
+            [equations.unknowns[k] for k in nonzero],
+            directions[:, undetermined].T,
+            rows,
+        )
+    values, inverse = np.full(len(matrix), np.nan), np.full(matrix.shape, np.nan)
+    inverse[np.ix_(nonzero, nonzero)], values[nonzero] = inverse_and_solution(
+        submatrix, vector[nonzero]
+    )
+    return Fit(
+        values, inverse, weights, float(np.sqrt(eigenvalues[-1] / eigenvalues[0]))
+    )
 
 
-def by_orthogonal_columns(
-    equations: NormalEquations, weights: Array, rows: Rows
-) -> Fit:
-    """The solution for given weights by a QR of all rows; errors grow with the condition.
+def solve_by_qr(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
+    """Solve the weighted equations by a QR decomposition of all rows.
+
+    Rounding errors grow with the condition number.
 
     Args:
-        equations: Of all rows.
-        weights: Of the channels, (C,).
-        rows: Passed over once, block after block onto one triangle.
+        equations: Normal equations of all rows.
+        weights: Weights of the channels, (C,).
+        rows: Function that starts a pass over all rows; each block updates the triangular factor.
 
     Raises:
-        UnseenParameters: The equations do not determine all unknowns; names them.
+        UnidentifiableParameters: The equations do not determine all unknowns; lists the names.
     """
     _, scale = unit_diagonal(equations.matrix(weights))
     p = len(scale)
@@ -134,50 +172,59 @@ def by_orthogonal_columns(
         (triangle,) = linalg.qr(
             np.vstack([triangle, white]), mode="r", check_finite=False
         )
-    _, spread, directions = np.linalg.svd(triangle[:p, :p])
+    _, singular_values, directions = np.linalg.svd(triangle[:p, :p])
     # singular values of the scaled equations below this share of the largest count as zero
-    lost = spread <= 1e-10 * spread[0]
-    if lost.any():
-        refuse(equations.unknowns, directions[lost], equations.rows)
+    undetermined = singular_values <= 1e-10 * singular_values[0]
+    if undetermined.any():
+        raise_unidentifiable_parameters(
+            equations.unknowns, directions[undetermined], equations.rows
+        )
     root = linalg.inv(triangle[:p, :p]) / scale[:, None]
     return Fit(
-        root @ triangle[:p, p], root @ root.T, weights, float(spread[0] / spread[-1])
+        root @ triangle[:p, p],
+        root @ root.T,
+        weights,
+        float(singular_values[0] / singular_values[-1]),
     )
 
 
 def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
-    """The solution by the normal equations, or by all rows where those are too ill-conditioned.
+    """Solve by normal equations, or by QR where these are ill-conditioned.
+
+    QR is used for a condition number above 1e4, or if normal equations do not determine all
+    unknowns.
 
     Args:
-        equations: Of all rows.
-        weights: Of the channels, (C,).
-        rows: Starts a pass over all rows.
+        equations: Normal equations of all rows.
+        weights: Weights of the channels, (C,).
+        rows: Function that starts a pass over all rows.
 
     Raises:
-        UnseenParameters: The equations do not determine all unknowns; names them.
+        UnidentifiableParameters: The equations do not determine all unknowns; lists the names.
     """
-    # to the precision of sums; the rows may know better
-    with suppress(UnseenParameters):
-        solution = by_normal_equations(equations, weights)
+    # the rows may determine unknowns that sums of products do not, by rounding
+    with suppress(UnidentifiableParameters):
+        solution = solve_normal_equations(equations, weights)
         # condition up to which normal equations are as good as a QR of all rows
         if solution.condition <= 1e4 and not np.isnan(solution.values).any():
             return solution
-    return by_orthogonal_columns(equations, weights, rows)
+    return solve_by_qr(equations, weights, rows)
 
 
 def fit(equations: NormalEquations, weights: Mapping[str, float] | None = None) -> Fit:
-    """Fit some of the channels, with weights of one's own.
+    """Fit all or some of the channels, with given or estimated weights.
 
-    One channel alone, all but one, or any others: no pass over the samples.
+    No pass over the samples is needed.
 
     Args:
-        equations: Of a recording; `Estimate.normal_equations`.
-        weights: By channel, one over the variance of its noise [N^-2, (N m)^-2]; channels
-            that are not named are left out. Default all, by their residuals.
+        equations: Normal equations of a recording, `Estimate.normal_equations`.
+        weights: Inverse noise variance of each channel [N^-2, (N m)^-2], keyed by name; other
+            channels are left out. Default: all channels, weighted by their residuals.
 
     Raises:
-        UnknownName: There is no such channel.
-        UnseenParameters: The channels see parameters that they cannot distinguish.
+        UnknownName: A channel does not exist.
+        UnidentifiableParameters: The channels cannot distinguish all parameters that influence
+            them.
     """
     if weights is None:
         chosen = noise_weights(equations)
@@ -186,4 +233,4 @@ def fit(equations: NormalEquations, weights: Mapping[str, float] | None = None) 
             if name not in equations.channels:
                 raise UnknownName("channel", name, equations.channels)
         chosen = np.array([float(weights.get(c, 0.0)) for c in equations.channels])
-    return by_normal_equations(equations, chosen)
+    return solve_normal_equations(equations, chosen)

@@ -1,7 +1,8 @@
-"""From a source of samples to windows of rows: what is measured, filters, ends, rows kept.
+"""Plan of the regression: filters, windows of samples and rows of a recording.
 
-What is done to the measurement is done to every column of the regressor: the equations
-stay exact, only the noise changes. A filter on positions alone would bias the estimate.
+The filter on rows is applied to the measurement and to every column of the regressor, so that the
+equations stay exact and only the noise changes. A filter on positions alone would bias the
+estimate.
 """
 
 from __future__ import annotations
@@ -16,40 +17,42 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.settings import Settings
 from testbed.core.kernel.layout import Layout
-from testbed.core.kernel.records import NO_LOAD, NONE, Signals
+from testbed.core.kernel.records import EMPTY_MATRIX, EMPTY_VECTOR, SignalWindow
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
-from testbed.core.robot.friction import BY_LOAD, ROOM
+from testbed.core.robot.friction import LOAD_MULTIPLIERS, ROOM_TEMPERATURE
 
 POSITION_ATTENUATION = 120.0
-"""Of the filter on positions [dB]: what it takes from the motion would bias the estimate."""
+"""Stop-band attenuation and pass-band flatness of the low-pass on positions [dB]: what it removes
+from the motion would bias the estimate."""
 
 ROW_ATTENUATION = 60.0
-"""Of the filter on rows [dB]: both sides of the equations pass it, so it need not be flat."""
+"""Stop-band attenuation of the low-pass on rows [dB]; both sides of the equations are filtered, so
+that the pass band need not be flat."""
 
 TRANSITION = 1.5
-"""Width of the band between passing and stopping, in cutoffs; the cutoff is in its middle."""
+"""Width of the transition band relative to the cutoff, which is in its middle."""
 
-REVERSAL_WEIGHT = 0.03
-"""Part of the row filter's absolute weight that may lie on samples at a reversal."""
+MAX_REVERSAL_WEIGHT = 0.03
+"""Largest fraction of the row filter's absolute weight on samples at a reversal."""
 
 _DIFFERENCES = (4 / 5, -1 / 5, 4 / 105, -1 / 280), (8 / 5, -1 / 5, 8 / 315, -1 / 560)
-"""First and second central differences of order eight, from the middle outwards."""
+"""Weights of the first and second central difference of order eight, from the centre outwards."""
 
-LONGEST_REACH = 1_000_000
-"""Samples of a filter to either side."""
+MAX_REACH = 1_000_000
+"""Largest reach of a filter to either side [samples]."""
 
-STENCIL = len(_DIFFERENCES[0])
-"""Samples that a derivative reaches to either side."""
+STENCIL_REACH = len(_DIFFERENCES[0])
+"""Reach of the differences to either side [samples]."""
 
 
 def low_pass_reach(rate: float, cutoff: float | None, attenuation: float) -> float:
-    """Samples L to either side that a low-pass needs; infinity where there is no such number.
+    """Half-length of a low-pass filter [samples]; infinite for a cutoff of zero.
 
     Args:
-        rate: Samples a second [Hz].
-        cutoff: Where its gain is one half [Hz]; None for no filter.
-        attenuation: As of `low_pass` [dB].
+        rate: Sampling rate [Hz].
+        cutoff: Frequency of half gain [Hz]; None for no filter.
+        attenuation: Attenuation, as in `low_pass` [dB].
     """
     if cutoff is None:
         return 0.0
@@ -62,22 +65,22 @@ def low_pass_reach(rate: float, cutoff: float | None, attenuation: float) -> flo
 
 
 def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
-    """Weights of a symmetric low-pass, (2 L + 1,), of sum one; a windowed sinc.
+    """Weights of a symmetric low-pass, (2 L + 1,): a Kaiser-windowed sinc with unit sum.
 
     Args:
-        rate: Samples a second [Hz].
-        cutoff: Where its gain is one half [Hz].
-        attenuation: Beyond cutoff (1 + TRANSITION / 2), and how flat it is below
-            cutoff (1 - TRANSITION / 2) [dB].
+        rate: Sampling rate [Hz].
+        cutoff: Frequency of half gain [Hz].
+        attenuation: Attenuation above cutoff (1 + TRANSITION / 2), and flatness below cutoff (1 -
+            TRANSITION / 2) [dB].
 
     Raises:
-        SettingsError: The cutoff is so low that no recording is as long as the filter.
+        SettingsError: The cutoff is so low that the filter would exceed MAX_REACH.
     """
     needed = low_pass_reach(rate, cutoff, attenuation)
-    if needed > LONGEST_REACH:
+    if needed > MAX_REACH:
         raise SettingsError(
             f"a cutoff of {cutoff:g} Hz takes {needed:.0e} samples at {rate:g} Hz to either side, "
-            f"more than {LONGEST_REACH:.0e}: raise it, or switch it off"
+            f"more than {MAX_REACH:.0e}: raise it, or switch it off"
         )
     reach = int(needed)
     window = np.kaiser(2 * reach + 1, 0.1102 * (attenuation - 8.7))
@@ -86,18 +89,20 @@ def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
 
 
 def motion_taps(rate: float, cutoff: float | None) -> Array:
-    """Kernels that make position, velocity and acceleration of encoder positions.
+    """Convolution kernels for position, velocity and acceleration from encoder positions.
+
+    The kernels combine central differences of order eight with the low-pass on positions.
 
     Args:
-        rate: Samples a second [Hz].
-        cutoff: Of the low-pass on positions [Hz]; None for none.
+        rate: Sampling rate [Hz].
+        cutoff: Cutoff of the low-pass on positions [Hz]; None for no filter.
 
     Returns:
-        (3, 2 L + 1), in the order of time: x[k] = sum over l of taps[l] q[k - L + l].
+        Kernels in chronological order, (3, 2 L + 1): x[k] = sum over l of taps[l] q[k - L + l].
     """
     first, second = np.array(_DIFFERENCES) * [[rate], [rate**2]]
-    position = np.zeros(2 * STENCIL + 1)
-    position[STENCIL] = 1.0
+    position = np.zeros(2 * STENCIL_REACH + 1)
+    position[STENCIL_REACH] = 1.0
     stencils = (
         position,
         np.concatenate([-first[::-1], [0.0], first]),
@@ -110,110 +115,116 @@ def motion_taps(rate: float, cutoff: float | None) -> Array:
 
 
 def slope_weights(weights: Array, places: NDArray[np.int64], rate: float) -> Array:
-    """Weights that make a filtered signal's derivative of the signal at some samples, (k,) [1/s].
+    """Weights of selected samples for the derivative of a low-passed signal, (k,) [1/s].
 
-    By parts: the signal's derivative times the filter is the signal times the filter's, and a
-    part at either end, where the filter stops.
+    By integration by parts, the filtered derivative is the signal times the derivative of the
+    filter, plus a term at either end of the filter. The weights are scaled to be exact for a ramp;
+    the weight of a single sample is zero.
 
     Args:
-        weights: Of the filter, symmetric, (2 L + 1,).
-        places: The samples, evenly spaced around the filter's middle, (k,).
-        rate: Samples a second [Hz].
+        weights: Weights of the symmetric filter, (2 L + 1,).
+        places: Indices of the samples relative to the filter's middle, evenly spaced, (k,).
+        rate: Sampling rate [Hz].
     """
     if len(places) == 1:
         return np.zeros(1)
-    at = places + len(weights) // 2
-    derivative = -float(places[1] - places[0]) * _slopes(weights)[at]
+    indices = places + len(weights) // 2
+    derivative = (
+        -float(places[1] - places[0]) * _polynomial_derivatives(weights)[indices]
+    )
     derivative[[0, -1]] /= 2
-    derivative[[0, -1]] += np.array([-1.0, 1.0]) * weights[at[-1]]
+    derivative[[0, -1]] += np.array([-1.0, 1.0]) * weights[indices[-1]]
     return derivative * rate / (derivative @ places)
 
 
-def _slopes(values: Array) -> Array:
-    """Derivatives at evenly spaced values, (k,), of the polynomial through the nearest ones."""
-    size = min(2 * STENCIL + 1, len(values))
+def _polynomial_derivatives(values: Array) -> Array:
+    """Derivatives of evenly spaced values, (k,), from polynomials through the nearest values."""
+    size = min(2 * STENCIL_REACH + 1, len(values))
     powers, nodes = np.arange(size), np.arange(size) - size // 2
-    slope = powers * nodes[:, None] ** np.maximum(powers - 1.0, 0.0)
-    # at each of the nodes
-    differences = slope @ np.linalg.inv(np.vander(nodes, increasing=True))
-    at = np.arange(len(values))
-    first = np.clip(at - size // 2, 0, len(values) - size)
-    near = np.lib.stride_tricks.sliding_window_view(values, size)[first]
-    return np.asarray((differences[at - first] * near).sum(axis=1))
+    power_derivatives = powers * nodes[:, None] ** np.maximum(powers - 1.0, 0.0)
+    # derivative at each node, as a combination of the values
+    differences = power_derivatives @ np.linalg.inv(np.vander(nodes, increasing=True))
+    indices = np.arange(len(values))
+    first = np.clip(indices - size // 2, 0, len(values) - size)
+    neighbours = np.lib.stride_tricks.sliding_window_view(values, size)[first]
+    return np.asarray((differences[indices - first] * neighbours).sum(axis=1))
 
 
 def row_weights(rate: float, cutoff: float | None) -> Array:
-    """Weights of the parallel filter on rows, (2 L + 1,); a single one for none.
+    """Weights of the low-pass on rows, (2 L + 1,); a single one for no filter.
 
     Args:
-        rate: Samples a second [Hz].
-        cutoff: Where its gain is one half [Hz]; None for none.
+        rate: Sampling rate [Hz].
+        cutoff: Frequency of half gain [Hz]; None for no filter.
     """
     return np.ones(1) if cutoff is None else low_pass(rate, cutoff, ROW_ATTENUATION)
 
 
-def drive_filter(settings: Settings, rate: float) -> tuple[Array, int]:
-    """Of rows of drives: Hann's window, as long as a period of the cutoff, half `row_weights`.
+def joint_law_filter(settings: Settings, rate: float) -> tuple[Array, int]:
+    """Weights of a short Hann filter on rows of joint laws, and margin around reversals.
 
-    More of an encoder's noise passes, since its gain falls with the third power of the frequency
-    only, and less of a reversal: dry friction's jump spoils fewer rows, and none that are kept.
+    The window is as long as a period of the cutoff, half as long as `row_weights`. It passes more
+    encoder noise, since its gain falls only with the third power of the frequency, but the jump of
+    dry friction at a reversal affects fewer rows, all of which are excluded.
 
     Args:
-        settings: With the filter on rows.
-        rate: Samples a second [Hz].
+        settings: Settings with the low-pass on rows.
+        rate: Sampling rate [Hz].
 
     Returns:
-        Weights, (2 L + 1,), and samples to either side of a row at which its joint has to move.
+        Weights, (2 L + 1,), and number of samples to either side of a row at which its joint has to
+        move.
     """
     cutoff, reach = settings.row_low_pass, settings.reversal_reach
     weights = np.ones(1)
     if cutoff is not None:
         weights = np.hanning(2 * round(rate / cutoff / 2) + 1)[1:-1]
     half = len(weights) // 2
-    nearby = half if reach is None else reversal_samples(weights, reach, rate)
-    return weights / weights.sum(), nearby
+    rest_reach = half if reach is None else reversal_samples(weights, reach, rate)
+    return weights / weights.sum(), rest_reach
 
 
 def reversal_samples(weights: Array, reach: float | None, rate: float) -> int:
-    """Samples to either side of a row at which its joint has to move.
+    """Number of samples before and after a row in which its joint has to move.
 
-    Dry friction jumps at a reversal, and the filter on rows carries the jump to all rows that
-    it reaches.
+    Dry friction jumps at a reversal, and the filter on rows spreads the jump over its length.
 
     Args:
-        weights: Of the filter on rows, (2 L + 1,).
-        reach: As a time [s], at most the filter's own; None for what leaves REVERSAL_WEIGHT of
-            the filter's absolute weight beyond.
-        rate: Samples a second [Hz].
+        weights: Weights of the filter on rows, (2 L + 1,).
+        reach: Time before and after a row [s], at most half the filter's length; None for the time
+            beyond which the filter has MAX_REVERSAL_WEIGHT of its absolute weight.
+        rate: Sampling rate [Hz].
     """
     half = len(weights) // 2
     if reach is not None:
         return min(half, round(reach * rate))
-    size = np.abs(weights)
-    beyond = 2 * np.cumsum(size)[:half] / size.sum()  # of reaches half - 1, ..., 0
-    return half - int(np.count_nonzero(beyond < REVERSAL_WEIGHT))
+    magnitudes = np.abs(weights)
+    # for reaches of half - 1, ..., 0
+    beyond = 2 * np.cumsum(magnitudes)[:half] / magnitudes.sum()
+    return half - int(np.count_nonzero(beyond < MAX_REVERSAL_WEIGHT))
 
 
-ROWS_PER_CUTOFF, DENSE = 2.0, 4.0
-"""Rows kept a second per Hz of the parallel filter's cutoff: for an autoregression as many as
-the filter leaves independent, or their spectrum would have an empty part; and twice as many."""
+ROWS_PER_CUTOFF, DENSE_ROWS_PER_CUTOFF = 2.0, 4.0
+"""Rows per second per Hz of the row filter's cutoff. The first number suits autoregressions: as
+many rows as the filter leaves independent, so that their spectrum has no empty part. The second is
+twice that."""
 
-WINDOW = 32_768
-"""Samples of a window, about."""
+WINDOW_SAMPLES = 32_768
+"""Approximate number of samples of a window."""
 
-CLOSE_WINDOWS = 16
-"""Windows, evenly spread, whose encoders are looked at closely: nine minutes at 1 kHz."""
+ANALYSED_WINDOWS = 16
+"""Number of windows, evenly spread, whose encoder noise is analysed: nine minutes at 1 kHz."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """Consecutive rows, and the samples they need.
+    """Consecutive rows, and the range of the samples that determine the rows.
 
     Attributes:
-        row: Number of the first row.
-        rows: How many.
-        first: First sample.
-        last: Sample after the last.
+        row: Index of the first row.
+        rows: Number of rows.
+        first: Index of the first sample.
+        last: Index after the last sample.
     """
 
     row: int
@@ -224,94 +235,104 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How a source becomes rows.
+    """Plan of the regressor rows of a recording: kernels, filter, row spacing, excluded samples.
 
     Attributes:
-        source: The samples.
-        layout: The robot's rows.
-        tare: What is taken off the plate's wrench, (6,) [N, N m].
-        taps: Kernels that make the motion, (3, 2 L + 1).
-        weights: Of the parallel filter, (2 L + 1,).
-        deadband: Joints at lower speeds rest [rad/s or m/s].
-        rest_reach: Rows of a joint that rests within so many samples do not count.
-        step: Samples from row to row.
-        spans: Rows that no gap of the source touches: the first of each run, and how many.
-        engine: What makes the rows, as `Settings.engine` says it.
-        load: Values of the body columns, (P',), for laws of the load; None without such.
-        left_out: Samples of each channel that do not count, from the first to before the second,
-            (k, 2) each; () where all count.
+        source: Source of the samples.
+        layout: Layout of the robot's rows.
+        tare: Static wrench subtracted from the measured wrench, (6,) [N, N m].
+        motion_kernels: Convolution kernels for position, velocity and acceleration, (3, 2 L + 1).
+        weights: Weights of the filter on rows, (2 L + 1,).
+        deadband: Speed below which a joint rests [rad/s or m/s].
+        reversal_reach: Number of samples before and after a rest of a joint within which its rows
+            are excluded.
+        step: Number of samples from row to row.
+        spans: First row and number of rows of each run without a gap.
+        engine: Implementation that computes the rows, as in `Settings.engine`.
+        load: Coefficients of the body columns, (P',), for load-dependent joint laws; None without
+            such laws.
+        excluded_samples: Half-open index ranges of the excluded samples of each channel, (k, 2)
+            each; () if none.
     """
 
     source: Source
     layout: Layout
     tare: Array
-    taps: Array
+    motion_kernels: Array
     weights: Array
     deadband: float
-    rest_reach: int
+    reversal_reach: int
     step: int
     spans: tuple[tuple[int, int], ...]
     engine: str
     load: Array | None = None
-    left_out: tuple[NDArray[np.int64], ...] = ()
+    excluded_samples: tuple[NDArray[np.int64], ...] = ()
 
     @property
     def rows(self) -> int:
-        """Number of rows, those that gaps leave out counted: they are zero."""
+        """Number of rows, including the zero rows in gaps."""
         first, number = self.spans[-1]
         return first + number
 
     @property
     def reach(self) -> int:
-        """Samples that a row needs to either side."""
-        return int(self.taps.shape[1]) // 2 + len(self.weights) // 2
+        """Number of samples on either side that are used to compute a row."""
+        return int(self.motion_kernels.shape[1]) // 2 + len(self.weights) // 2
 
     @property
     def rate(self) -> float:
-        """Rows a second [Hz]."""
+        """Rate of the rows [Hz]."""
         return self.source.rate / self.step
 
     def windows(self) -> Iterator[Window]:
-        """All rows in order, in windows of whole blocks: the same whatever the source."""
+        """Yield the windows of all rows in order, of about WINDOW_SAMPLES samples each.
+
+        Windows contain whole blocks of rows, except before gaps, and are the same for any kind of
+        source.
+        """
         block = self.layout.rows.block
-        size = max(1, WINDOW // (block * self.step)) * block
+        size = max(1, WINDOW_SAMPLES // (block * self.step)) * block
         ends = [last for _, last in self.source.segments]
-        for begin, number in self.spans:
-            for row in range(begin, begin + number, size):
-                rows = min(size, begin + number - row)
+        for first_row, row_count in self.spans:
+            for row in range(first_row, first_row + row_count, size):
+                rows = min(size, first_row + row_count - row)
                 first = row * self.step
                 last = first + (rows - 1) * self.step + 2 * self.reach + 1
                 end = min(end for end in ends if end >= last)
-                # one more, so that every step of time is within some window
+                # one more sample, so that some window contains each step of time
                 yield Window(row, rows, first, min(last + 1, end))
 
     @property
-    def close_windows(self) -> frozenset[int]:
-        """First rows of the windows whose encoders are looked at closely: all, if few."""
+    def analysed_windows(self) -> frozenset[int]:
+        """First rows of the windows, at most ANALYSED_WINDOWS, whose encoder noise is analysed."""
         rows = [window.row for window in self.windows()]
-        if len(rows) > CLOSE_WINDOWS:
+        if len(rows) > ANALYSED_WINDOWS:
             rows = [
                 rows[k]
-                for k in np.linspace(0, len(rows) - 1, CLOSE_WINDOWS)
+                for k in np.linspace(0, len(rows) - 1, ANALYSED_WINDOWS)
                 .round()
                 .astype(int)
             ]
         return frozenset(rows)
 
-    def own(self, window: Window) -> int:
-        """How many of a window's samples come before the next window's first."""
+    def own_sample_count(self, window: Window) -> int:
+        """Number of a window's samples before the first sample of the next window."""
         last = any(window.row + window.rows == sum(span) for span in self.spans)
         return window.last - window.first if last else window.rows * self.step
 
-    def signals(self, part: Recording, window: Window) -> Signals:
-        """What the kernel needs of a window's samples.
+    def signals(self, part: Recording, window: Window) -> SignalWindow:
+        """Kernel input for a window: motion, measurement, filters and excluded samples.
 
-        Samples lie row by row however the source keeps them: BLAS adds in another order where
-        columns lie together, and bits would depend on it.
+        Arrays are made contiguous by sample, since the summation order of BLAS, and thus the last
+        bits of the result, depend on the memory layout.
+
+        Args:
+            part: Samples of the window.
+            window: Window.
         """
         if part.names != self.layout.tree.names:
             part = part.ordered(self.layout.tree)
-        dynamic = self.layout.model == "dynamic"
+        torques = self.layout.model == "torque"
         velocity = acceleration = np.empty((0, len(part.names)))
         if (
             part.senses_kinematics
@@ -319,50 +340,58 @@ class Plan:
             and part.acceleration is not None
         ):
             velocity, acceleration = part.velocity, part.acceleration
-        varying = {term.law.by for term in self.layout.terms} - {"", *BY_LOAD}
+        inputs = {term.law.by for term in self.layout.terms} - {"", *LOAD_MULTIPLIERS}
         measured = (
-            part.measured("torque") if dynamic else part.measured("wrench") - self.tare
+            part.measured("torque") if torques else part.measured("wrench") - self.tare
         )
         arrays = part.position, velocity, acceleration, measured
         q, qd, qdd, y = map(np.ascontiguousarray, arrays)
-        return Signals(
+        return SignalWindow(
             position=q,
             velocity=qd,
             acceleration=qdd,
             measured=y,
-            taps=self.taps,
+            taps=self.motion_kernels,
             weights=self.weights,
             deadband=self.deadband,
-            rest_reach=self.rest_reach,
+            rest_reach=self.reversal_reach,
             start=self.reach,
             step=self.step,
-            number=window.rows,
-            varying=self._varying(part, window) if varying else NONE,
-            load=NO_LOAD if self.load is None else self.load,
-            counts=self._counts(window.first, part.samples),
+            row_count=window.rows,
+            covariates=self._covariates(part, window) if inputs else EMPTY_MATRIX,
+            load=EMPTY_VECTOR if self.load is None else self.load,
+            sample_mask=self._sample_mask(window.first, part.samples),
         )
 
-    def _counts(self, first: int, number: int) -> Array:
-        """Ones for samples that count and zeros for others, (number, C); empty if all do."""
-        edges = np.zeros((number + 1, len(self.left_out)))
-        for channel, spans in zip(edges.T, self.left_out, strict=True):
+    def _sample_mask(self, first: int, number: int) -> Array:
+        """Mask of included samples, (M, C), one or zero; empty if all samples are included.
+
+        Args:
+            first: Index of the first sample.
+            number: Number of samples M.
+        """
+        changes = np.zeros((number + 1, len(self.excluded_samples)))
+        for channel, spans in zip(changes.T, self.excluded_samples, strict=True):
             begin, end = np.clip(spans.T - first, 0, number)
             np.add.at(channel, begin, 1)
             np.add.at(channel, end, -1)
-        missing = np.cumsum(edges[:-1], axis=0) > 0
-        return np.where(missing, 0.0, 1.0) if missing.any() else NONE
+        excluded = np.cumsum(changes[:-1], axis=0) > 0
+        return np.where(excluded, 0.0, 1.0) if excluded.any() else EMPTY_MATRIX
 
-    def _varying(self, part: Recording, window: Window) -> Array:
-        """Time since the middle of the source [s], and the drives' temperatures over 25 degC."""
+    def _covariates(self, part: Recording, window: Window) -> Array:
+        """Time from the middle of the source [s] and drive temperatures above 25 degC, (M, 1 + n).
+
+        Temperatures that were not recorded are zero.
+        """
         time = (
             window.first + np.arange(part.samples) - self.source.samples / 2
         ) / self.source.rate
-        warmth = (
+        temperature = (
             np.zeros_like(part.position)
             if part.temperature is None
-            else part.temperature - ROOM
+            else part.temperature - ROOM_TEMPERATURE
         )
-        return np.column_stack([time, warmth])
+        return np.column_stack([time, temperature])
 
 
 def make_plan(
@@ -370,70 +399,94 @@ def make_plan(
     layout: Layout,
     tare: Array,
     settings: Settings,
-    per_cutoff: float = ROWS_PER_CUTOFF,
+    rows_per_cutoff: float = ROWS_PER_CUTOFF,
 ) -> Plan:
-    """How a source becomes rows.
+    """Plan the regressor rows of a recording: filters, row spacing and spans without gaps.
 
     Args:
-        source: The samples.
-        layout: The robot's rows.
-        tare: What is taken off the plate's wrench, (6,) [N, N m].
-        settings: How to treat the signals; filters fit the sampling rate (`Settings.fitted`).
-        per_cutoff: Rows a second per Hz of the filter on rows.
+        source: Source of the samples.
+        layout: Layout of the robot's rows.
+        tare: Static wrench subtracted from the measured wrench, (6,) [N, N m].
+        settings: Settings with cutoffs that fit the sampling rate (`Settings.fitted`).
+        rows_per_cutoff: Rows per second per Hz of the low-pass on rows.
 
     Raises:
-        RecordingError: The recording is too short, or sampled too slowly.
+        RecordingError: The recording is too short, or its sampling rate too low.
     """
     rate, sensed = source.rate, source.senses_kinematics
-    slow, position = (
+    row_cutoff, position_cutoff = (
         settings.row_low_pass,
         None if sensed else settings.position_low_pass,
     )
-    fast = [
+    excessive = [
         cutoff
-        for cutoff in (slow, position)
+        for cutoff in (row_cutoff, position_cutoff)
         if cutoff is not None and cutoff >= rate / 2
     ]
-    if fast:
+    if excessive:
         raise RecordingError(
-            f"the recording has {rate:g} samples a second, too few for a filter at {fast[0]:g} Hz"
+            f"the recording has {rate:g} samples a second, too few for a filter at "
+            f"{excessive[0]:g} Hz"
         )
-    reach = low_pass_reach(rate, slow, ROW_ATTENUATION) + (0 if sensed else STENCIL)
-    reach += low_pass_reach(rate, position, POSITION_ATTENUATION)
+    reach = low_pass_reach(rate, row_cutoff, ROW_ATTENUATION) + (
+        0 if sensed else STENCIL_REACH
+    )
+    reach += low_pass_reach(rate, position_cutoff, POSITION_ATTENUATION)
     step = 1
-    if slow is not None:
-        step = max(1, int(min((1 + 1e-9) * rate / (per_cutoff * slow), source.samples)))
-    spans = tuple(_rows_in(segment, reach, step) for segment in source.segments)
+    if row_cutoff is not None:
+        step = max(
+            1,
+            int(
+                min((1 + 1e-9) * rate / (rows_per_cutoff * row_cutoff), source.samples)
+            ),
+        )
+    spans = tuple(_rows_of_segment(segment, reach, step) for segment in source.segments)
     for k, (_, rows) in enumerate(spans):
-        if rows < 2:  # before weights are made: they could be endless
-            raise _too_short(source, k, reach)
-    weights = row_weights(rate, slow)
+        if rows < 2:  # before the weights are computed: their number could be huge
+            raise _too_short_error(source, k, reach)
+    weights = row_weights(rate, row_cutoff)
     return Plan(
         source=source,
         layout=layout,
         tare=tare,
-        taps=np.array([[1.0], [0.0], [0.0]]) if sensed else motion_taps(rate, position),
+        motion_kernels=np.array([[1.0], [0.0], [0.0]])
+        if sensed
+        else motion_taps(rate, position_cutoff),
         weights=weights,
-        deadband=settings.deadband if layout.model == "dynamic" else 0.0,
-        rest_reach=reversal_samples(weights, settings.reversal_reach, rate),
+        deadband=settings.deadband if layout.model == "torque" else 0.0,
+        reversal_reach=reversal_samples(weights, settings.reversal_reach, rate),
         step=step,
         spans=spans,
         engine=settings.engine,
     )
 
 
-def _rows_in(segment: tuple[int, int], reach: float, step: int) -> tuple[int, int]:
-    """The first row whose samples are all of one segment, and how many there are."""
+def _rows_of_segment(
+    segment: tuple[int, int], reach: float, step: int
+) -> tuple[int, int]:
+    """First row whose samples lie in one segment, and the number of such rows.
+
+    Args:
+        segment: First sample and index after the last.
+        reach: Half-length of the filters [samples].
+        step: Number of samples from row to row.
+    """
     first, last = -(-segment[0] // step), segment[1]
     return first, len(range(first * step + int(min(2 * reach, last)), last, step))
 
 
-def _too_short(source: Source, number: int, reach: float) -> RecordingError:
-    """What to say of the segment of a number."""
+def _too_short_error(source: Source, number: int, reach: float) -> RecordingError:
+    """Error for a segment that is too short for the filters.
+
+    Args:
+        source: Source of the samples.
+        number: Index of the segment.
+        reach: Half-length of the filters [samples].
+    """
     segments = source.segments
     first, last = segments[number]
-    which = "the recording" if len(segments) == 1 else f"recording {number + 1}"
+    label = "the recording" if len(segments) == 1 else f"recording {number + 1}"
     return RecordingError(
-        f"{which} lasts {(last - first) / source.rate:.3g} s, too short: the filters take "
+        f"{label} lasts {(last - first) / source.rate:.3g} s, too short: the filters take "
         f"{reach / source.rate:.3g} s at each end; record longer or raise the cutoff frequencies"
     )

@@ -10,43 +10,47 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.regression.normal_equations import scaled_solve
+from testbed.core.estimation.regression.normal_equations import solve_scaled
 from testbed.core.kernel.records import Ints
 
-DEPENDENT = 1e-10
-"""Part of a column's square beyond all others, below which it is a sum of those."""
+MIN_INDEPENDENT_SHARE = 1e-10
+"""Smallest share of a column's square that is independent of the other columns; below it the column
+is a linear combination of these."""
 
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """Consecutive parts of rows.
+    """Folds of consecutive rows for cross-validation.
 
     Attributes:
-        ends: Number of each fold's first row, and of the row after the last, (folds + 1,).
-        reach: Rows beside a fold that share samples with it, and do not predict it.
+        ends: Index of each fold's first row, then the index after the last row, (folds + 1,).
+        reach: Number of rows on either side of a fold that share samples with it and are left out
+            of its training rows.
     """
 
     ends: Ints
     reach: int = 0
 
     @classmethod
-    def even(cls, rows: int, count: int, reach: int = 0) -> Folds:
-        """Folds of one size but for rounding.
+    def equal_size(cls, rows: int, count: int, reach: int = 0) -> Folds:
+        """Folds of equal size, except for rounding.
 
         Args:
             rows: Number of rows.
             count: Number of folds.
-            reach: Rows beside a fold that share samples with it.
+            reach: Number of rows on either side of a fold that share samples with it.
         """
         return cls(np.linspace(0, rows, count + 1).round().astype(int), reach)
 
-    def cut(self, first: int, rows: int, reach: int = 0) -> Iterator[tuple[int, slice]]:
-        """Folds that have rows in a block, and which rows.
+    def overlaps(
+        self, first: int, rows: int, reach: int = 0
+    ) -> Iterator[tuple[int, slice]]:
+        """Yield indices of folds that overlap a block of rows, with slices of the block.
 
         Args:
-            first: Number of the block's first row.
-            rows: Rows of the block.
-            reach: Rows beside each fold that are taken, too.
+            first: Index of the block's first row.
+            rows: Number of rows of the block.
+            reach: Number of rows on either side of each fold that are also included.
         """
         low = np.clip(self.ends[:-1] - reach - first, 0, rows).tolist()
         high = np.clip(self.ends[1:] + reach - first, 0, rows).tolist()
@@ -55,21 +59,24 @@ class Folds:
                 yield fold, span
 
     def products(self, blocks: Iterable[Array]) -> CrossProducts:
-        """Products of the columns of rows, (C, k, m) a block, the last being the measurement.
+        """Products of the columns of each fold's test rows and training rows.
+
+        Training rows are all rows except those of the fold and `reach` rows on either side.
 
         Args:
-            blocks: All rows in order.
+            blocks: Blocks of consecutive rows: values of m columns in k rows of C channels, (C, k,
+                m); the last column is the measurement.
         """
         sums: dict[tuple[int, int], Any] = defaultdict(float)
         first, shape = 0, (0, 0, 0)
         for block in blocks:
             for reach in {0, self.reach}:
-                for fold, span in self.cut(first, block.shape[1], reach):
+                for fold, span in self.overlaps(first, block.shape[1], reach):
                     rows = block[:, span]
                     sums[reach, fold] += rows.swapaxes(1, 2) @ rows
             shape = len(block), block.shape[2], block.shape[2]
             first += block.shape[1]
-        unseen, near = (
+        test, excluded = (
             np.array(
                 [
                     sums[reach, fold] + np.zeros(shape)
@@ -78,100 +85,137 @@ class Folds:
             )
             for reach in (0, self.reach)
         )
-        return CrossProducts(unseen, unseen.sum(axis=0) - near)
+        return CrossProducts(test, test.sum(axis=0) - excluded)
 
 
 @dataclass(frozen=True, eq=False)
 class CrossProducts:
-    """Products of columns fold by fold, channel by channel, the last being the measurement.
+    """Products of columns for each fold and channel; the last column is the measurement.
+
+    There are C channels and m columns, including the measurement.
 
     Attributes:
-        unseen: Of each fold, (folds, C, m, m).
-        seen: Of all rows from which the fold is predicted, (folds, C, m, m).
+        test: Products of each fold's test rows, (folds, C, m, m).
+        training: Products of each fold's training rows, (folds, C, m, m).
     """
 
-    unseen: Array
-    seen: Array
+    test: Array
+    training: Array
 
-    def weighted(self, weights: Array) -> CrossValidation:
-        """Sums over the channels.
+    def weighted_sums(self, weights: Array) -> CrossValidation:
+        """Weighted sums of the products over the channels.
 
         Args:
-            weights: Of the channels, (C,).
+            weights: Weights of the channels, (C,).
         """
         return CrossValidation(
-            np.einsum("c,kcij->kij", weights, self.unseen),
-            np.einsum("c,kcij->kij", weights, self.seen),
+            np.einsum("c,kcij->kij", weights, self.test),
+            np.einsum("c,kcij->kij", weights, self.training),
         )
 
     def residual_squares(
         self, validation: CrossValidation, columns: Sequence[int]
     ) -> Array:
-        """Squares that fits of some columns leave of each channel in unseen folds, (C,).
+        """Sum of squared test residuals of each channel, (C,), for fits of the given columns.
 
         Args:
-            validation: Weighted sums, which are fitted.
-            columns: Which.
+            validation: Weighted sums of these products, which determine the fits.
+            columns: Indices of the fitted columns.
         """
-        each = _residual_squares(self.unseen, columns, validation.values(columns))
-        return np.asarray(each.sum(axis=0))
+        squares = _residual_squares(self.test, columns, validation.values(columns))
+        return np.asarray(squares.sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Products of columns fold by fold, the last being the measurement.
+    """Products of columns for each fold, summed over channels; the last column is the measurement.
 
     Attributes:
-        unseen: Of each fold, (folds, m, m).
-        seen: Of all rows from which the fold is predicted, (folds, m, m).
+        test: Products of each fold's test rows, (folds, m, m).
+        training: Products of each fold's training rows, (folds, m, m).
     """
 
-    unseen: Array
-    seen: Array
+    test: Array
+    training: Array
 
     def values(self, columns: Sequence[int]) -> Array:
-        """Coefficients of some columns, fitted to the rows seen, (folds, k)."""
-        own = list(columns)
+        """Coefficients of k given columns, fitted to each fold's training rows, (folds, k)."""
+        indices = list(columns)
         return np.array(
-            [scaled_solve(s[np.ix_(own, own)], s[own, -1]) for s in self.seen]
+            [
+                solve_scaled(products[np.ix_(indices, indices)], products[indices, -1])
+                for products in self.training
+            ]
         )
 
     def residual_squares(self, columns: Sequence[int]) -> Array:
-        """Squares that fits of some columns leave of each fold, (folds,)."""
-        return _residual_squares(self.unseen, columns, self.values(columns))
+        """Sum of squared test residuals of each fold, (folds,), for fits of the given columns."""
+        return _residual_squares(self.test, columns, self.values(columns))
 
-    def with_each(self, columns: Sequence[int], more: Sequence[int]) -> Array:
-        """`residual_squares` with one more column, for each of several, (folds, more).
+    def squares_with_candidates(
+        self, columns: Sequence[int], candidates: Sequence[int]
+    ) -> Array:
+        """Sum of squared test residuals with one more column, (folds, candidates).
 
-        Infinite where the column is a sum of the others.
+        Each candidate column is added alone, and all coefficients are fitted to the training rows.
+        The sum is infinite if the candidate is a linear combination of the columns in the training
+        rows.
+
+        Args:
+            columns: Indices of the columns of all fits.
+            candidates: Indices of the candidate columns.
         """
-        own, new, y = list(columns), list(more), self.unseen.shape[1] - 1
-        squares = np.empty((len(self.seen), len(new)))
-        for k, (seen, unseen) in enumerate(zip(self.seen, self.unseen, strict=True)):
-            solved = scaled_solve(seen[np.ix_(own, own)], seen[np.ix_(own, [y, *new])])
-            values, shared = solved[:, 0], solved[:, 1:]
-            whole = np.diagonal(seen)[new]
-            beyond = whole - np.einsum("ij,ij->j", seen[np.ix_(own, new)], shared)
-            independent = beyond > DEPENDENT * whole
-            share = np.where(
-                independent, seen[new, y] - seen[np.ix_(new, own)] @ values, 0.0
+        base, added, y = (
+            list(columns),
+            list(candidates),
+            self.test.shape[1] - 1,
+        )
+        squares = np.empty((len(self.training), len(added)))
+        for k, (training, test) in enumerate(
+            zip(self.training, self.test, strict=True)
+        ):
+            solution = solve_scaled(
+                training[np.ix_(base, base)],
+                training[np.ix_(base, [y, *added])],
             )
-            share = share / np.where(independent, beyond, 1.0)
+            values, shared = solution[:, 0], solution[:, 1:]
+            squared_norms = np.diagonal(training)[added]
+            remaining_squares = squared_norms - np.einsum(
+                "ij,ij->j", training[np.ix_(base, added)], shared
+            )
+            independent = remaining_squares > MIN_INDEPENDENT_SHARE * squared_norms
+            gain_factor = np.where(
+                independent,
+                training[added, y] - training[np.ix_(added, base)] @ values,
+                0.0,
+            )
+            gain_factor = gain_factor / np.where(independent, remaining_squares, 1.0)
             # residuals as combinations of the columns
-            ends = np.zeros((y + 1, len(new)))
-            ends[own] = share * shared - values[:, None]
-            ends[new, np.arange(len(new))] -= share
-            ends[y] = 1.0
-            rest = np.einsum("ij,ij->j", ends, unseen @ ends)
-            squares[k] = np.where(independent, np.maximum(rest, 0.0), np.inf)
+            combinations = np.zeros((y + 1, len(added)))
+            combinations[base] = gain_factor * shared - values[:, None]
+            combinations[added, np.arange(len(added))] -= gain_factor
+            combinations[y] = 1.0
+            residual = np.einsum("ij,ij->j", combinations, test @ combinations)
+            squares[k] = np.where(independent, np.maximum(residual, 0.0), np.inf)
         return squares
 
 
 def _residual_squares(products: Array, columns: Sequence[int], values: Array) -> Array:
-    """Squares that values, (folds, k), leave of products, (folds, ..., m, m)."""
-    at = [*columns, products.shape[-1] - 1]
-    ends = np.column_stack([-values, np.ones(len(values))])
-    inner = products[..., at, :][..., at]
+    """Sums of squared residuals for given coefficients, from products of the columns, (folds, ...).
+
+    Args:
+        products: Products of all columns, the measurement last, (folds, ..., m, m).
+        columns: Indices of the fitted columns.
+        values: Coefficients of each fold, (folds, k).
+    """
+    indices = [*columns, products.shape[-1] - 1]
+    combination = np.column_stack([-values, np.ones(len(values))])
+    products_of_columns = products[..., indices, :][..., indices]
     return np.asarray(
-        np.maximum(np.einsum("ki,k...ij,kj->k...", ends, inner, ends), 0.0)
+        np.maximum(
+            np.einsum(
+                "ki,k...ij,kj->k...", combination, products_of_columns, combination
+            ),
+            0.0,
+        )
     )

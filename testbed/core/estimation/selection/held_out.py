@@ -1,4 +1,4 @@
-"""Forward selection of laws by cross-validation, and its evidence."""
+"""Forward selection of joint laws by cross-validation, and the evidence for the choice."""
 
 from __future__ import annotations
 
@@ -8,59 +8,62 @@ from typing import TypeVar
 
 import numpy as np
 
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.base.errors import round_significant
-from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.estimation.regression.normal_equations import SMALLEST_POSITIVE
 from testbed.core.estimation.selection.folds import CrossValidation
 from testbed.core.robot.friction import (
+    ADDITIONAL_LAWS,
     COULOMB,
-    FURTHER,
     OFFSET,
-    STRIBECK,
+    STRIBECK_KIND,
     VISCOUS,
-    stribeck,
+    stribeck_law,
 )
 from testbed.core.robot.joint_law import JointLaw
 
-ALWAYS = (COULOMB, VISCOUS)
-"""What every joint has."""
+BASE_LAWS = (COULOMB, VISCOUS)
+"""Laws of every joint."""
 
-OFFERED = (
+CANDIDATE_LAWS = (
     OFFSET,
-    *FURTHER,
+    *ADDITIONAL_LAWS,
     # friction that fades out between these speeds [rad/s or m/s]
-    *(stribeck(round_significant(speed, 2)) for speed in np.geomspace(0.02, 1.0, 14)),
+    *(
+        stribeck_law(round_significant(speed, 2))
+        for speed in np.geomspace(0.02, 1.0, 14)
+    ),
 )
-"""What may be added."""
+"""Candidate laws of the forward selection."""
 
 
-def rivals(one: JointLaw, other: JointLaw) -> bool:
-    """Whether two laws are not to be chosen both: friction that fades out at two speeds.
+def are_exclusive(first: JointLaw, second: JointLaw) -> bool:
+    """True if both laws are Stribeck friction, so that only one may be selected.
 
     Args:
-        one: A law.
-        other: Another.
+        first: Law.
+        second: Another law.
     """
-    return all(law.kind.startswith(STRIBECK) for law in (one, other))
+    return all(law.kind.startswith(STRIBECK_KIND) for law in (first, second))
 
 
-Z_GAIN = 2.0
-"""Standard errors that a gain has to have."""
+MIN_Z_GAIN = 2.0
+"""Smallest significant gain, in standard errors."""
 
-LEAST_GAIN = 0.02
-"""Part of what is left by which a gain lowers it at least."""
+MIN_RELATIVE_GAIN = 0.02
+"""Smallest relative reduction of the rms test residual."""
 
 Key = TypeVar("Key")
 
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One step of a forward selection.
+    """Step of a forward selection: added column and test residual.
 
     Attributes:
-        kind: What was added, or "" for what is always there.
-        residual: Rms of what is left of unseen parts, over that of the measurement.
-        gain: How many standard errors it is better than without; 0 for the first step.
+        kind: Name of the added column; "" for the base columns.
+        residual: Rms test residual relative to the rms measurement.
+        gain: Reduction of the residual in standard errors; 0 for the first step.
     """
 
     kind: str
@@ -70,11 +73,12 @@ class SelectionStep:
 
 @dataclass(frozen=True)
 class ForwardSelection:
-    """Columns that were added, one after the other.
+    """Sequence of columns added by a forward selection.
 
     Attributes:
-        steps: How, the first being what is always there.
-        next_best: What would have come next, and does not gain enough; None for none.
+        steps: Steps of the selection, the base columns first.
+        next_best: Step with the best remaining candidate, whose gain is insufficient; None if no
+            candidates remain.
     """
 
     steps: tuple[SelectionStep, ...]
@@ -82,15 +86,15 @@ class ForwardSelection:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
-    """What fits of all other parts leave of each part of a recording.
+class TestResiduals:
+    """Test residuals of a cross-validation, channel by channel.
 
     Attributes:
-        channels: The joints.
-        units: N m or N, one each.
-        signal: Rms of the torques, (n,) [N m or N].
-        residual: Rms of what is left of unseen parts, (n,) [N m or N].
-        rows: How many count, (n,).
+        channels: Names of the channels, (n,).
+        units: Unit of each channel, N m or N.
+        signal: Rms of the measurements, (n,) [N m or N].
+        residual: Rms of the test residuals, (n,) [N m or N].
+        rows: Number of rows used in each channel, (n,).
     """
 
     channels: tuple[str, ...]
@@ -101,11 +105,11 @@ class HeldOut:
 
     def __post_init__(self) -> None:
         n = len(self.channels)
-        freeze(self, signal=(n,), residual=(n,), rows=(n,))
+        freeze_arrays(self, signal=(n,), residual=(n,), rows=(n,))
 
     @property
     def rms(self) -> float:
-        """Of all joints' rows together [N m], or [N] where all slide."""
+        """Rms of the test residuals of all channels [N m], or [N] for prismatic joints."""
         return float(
             np.sqrt((self.rows @ self.residual**2) / max(float(self.rows.sum()), 1.0))
         )
@@ -113,75 +117,107 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class TermChoice:
-    """The terms of the torques, and the evidence.
+    """Joint laws chosen by cross-validation, with the evidence for the choice.
 
     Attributes:
-        words: Such as "coulomb/elbow", as `Settings.terms` takes them.
-        growth: How they were found; the first step is what all joints and shafts have.
-        before: What is left with that alone.
-        after: What is left with all of them.
-        parts: Into how many the recording was cut.
+        words: Chosen terms such as "coulomb/elbow", as in `Settings.terms`.
+        growth: Steps of the forward selection, which starts with the default laws.
+        before: Test residuals with the default laws (`usual_terms`) only.
+        after: Test residuals with all chosen laws.
+        parts: Number of folds.
     """
 
     words: tuple[str, ...]
     growth: ForwardSelection
-    before: HeldOut
-    after: HeldOut
+    before: TestResiduals
+    after: TestResiduals
     parts: int
 
 
 def forward_selection(
     folds: CrossValidation,
-    always: Sequence[int],
+    base_columns: Sequence[int],
     offered: Mapping[Key, int],
-    named: Callable[[Key], str],
-    rival: Callable[[Key, Key], bool] = lambda one, other: False,
+    name_of: Callable[[Key], str],
+    exclusive: Callable[[Key, Key], bool] = lambda one, other: False,
 ) -> tuple[list[Key], ForwardSelection]:
-    """Columns chosen by their gain on unseen folds.
+    """Select columns one by one, by the significance of their gain in cross-validation.
+
+    A gain is significant if it is at least 2 standard errors (MIN_Z_GAIN) and reduces the rms test
+    residual by 2 % (MIN_RELATIVE_GAIN). Of the significant candidates, the one with the smallest
+    residual is added.
 
     Args:
         folds: Products of the folds.
-        always: Columns that are there.
-        offered: Columns that may be added, by what they are of.
-        named: What to call them.
-        rival: Whether one is not to be added where the other is.
+        base_columns: Indices of the base columns.
+        offered: Indices of the candidate columns, keyed by candidate.
+        name_of: Function that returns the name of a candidate.
+        exclusive: Function that returns True if two candidates must not be selected together.
 
     Returns:
-        What was added, in this order, and how.
+        Selected candidates in order, and the steps of the selection.
     """
-    own, candidates, chosen = list(always), dict(offered), list[Key]()
-    whole = max(float(folds.unseen[:, -1, -1].sum()), TINY)
+    columns, candidates, chosen = list(base_columns), dict(offered), list[Key]()
+    measured_square = max(float(folds.test[:, -1, -1].sum()), SMALLEST_POSITIVE)
 
-    def step(name: str, squares: Array, gain: float = 0.0) -> SelectionStep:
-        return SelectionStep(name, float(np.sqrt(squares.sum() / whole)), gain)
+    def selection_step(name: str, squares: Array, gain: float = 0.0) -> SelectionStep:
+        return SelectionStep(
+            name, float(np.sqrt(squares.sum() / measured_square)), gain
+        )
 
-    squares = folds.residual_squares(own)
-    steps = [step("", squares)]
+    squares = folds.residual_squares(columns)
+    steps = [selection_step("", squares)]
     while candidates:
-        each = folds.with_each(own, list(candidates.values()))
-        gains, total = _gains(squares, each), each.sum(axis=0)
+        squares_with_candidates = folds.squares_with_candidates(
+            columns, list(candidates.values())
+        )
+        z_scores, total = (
+            _gain_z_scores(squares, squares_with_candidates),
+            squares_with_candidates.sum(axis=0),
+        )
         if not np.isfinite(total).any():
             break
-        clear = (gains >= Z_GAIN) & (total < (1 - LEAST_GAIN) ** 2 * squares.sum())
-        k = int(np.argmin(np.where(clear, total, np.inf) if clear.any() else total))
+        significant = (z_scores >= MIN_Z_GAIN) & (
+            total < (1 - MIN_RELATIVE_GAIN) ** 2 * squares.sum()
+        )
+        k = int(
+            np.argmin(
+                np.where(significant, total, np.inf) if significant.any() else total
+            )
+        )
         best = list(candidates)[k]
-        following = step(named(best), each[:, k], float(gains[k]))
-        if not clear.any():
-            return chosen, ForwardSelection(tuple(steps), following)
+        next_step = selection_step(
+            name_of(best), squares_with_candidates[:, k], float(z_scores[k])
+        )
+        if not significant.any():
+            return chosen, ForwardSelection(tuple(steps), next_step)
         chosen.append(best)
-        steps.append(following)
-        own.append(candidates.pop(best))
-        candidates = {key: at for key, at in candidates.items() if not rival(key, best)}
-        squares = folds.residual_squares(own)
+        steps.append(next_step)
+        columns.append(candidates.pop(best))
+        candidates = {
+            key: column
+            for key, column in candidates.items()
+            if not exclusive(key, best)
+        }
+        squares = folds.residual_squares(columns)
     return chosen, ForwardSelection(tuple(steps), None)
 
 
-def _gains(before: Array, after: Array) -> Array:
-    """How many standard errors better each of several is, fold by fold, (more,).
+def _gain_z_scores(before: Array, after: Array) -> Array:
+    """Mean log reduction of the squares over the folds, in standard errors, (candidates,).
 
-    By logarithms: what changes most in one fold, as a drift does, is gained in all.
+    Logarithms give all folds the same weight, even if a drift dominates the squares of one fold.
+
+    Args:
+        before: Squared residuals of each fold, (folds,).
+        after: Squared residuals with each candidate, (folds, candidates).
     """
-    same = np.where(np.isfinite(after), after, before[:, None])
-    gained = np.log(np.maximum(before, TINY)[:, None] / np.maximum(same, TINY))
-    error = gained.std(axis=0, ddof=1) / np.sqrt(len(gained))
-    return np.asarray(gained.mean(axis=0) / np.maximum(error, TINY))
+    finite_squares = np.where(np.isfinite(after), after, before[:, None])
+    log_ratios = np.log(
+        np.maximum(before, SMALLEST_POSITIVE)[:, None]
+        / np.maximum(finite_squares, SMALLEST_POSITIVE)
+    )
+    standard_error = log_ratios.std(axis=0, ddof=1) / np.sqrt(len(log_ratios))
+    return np.asarray(
+        log_ratios.mean(axis=0) / np.maximum(standard_error, SMALLEST_POSITIVE)
+    )

@@ -1,5 +1,5 @@
-"""Coefficients of sensor errors, by Gauss-Newton.
+"""Coefficients of sensor errors: identifiable subset, columns, estimates.
 
 In: predicted and measured wrench.
-Out: zero, sensitivities, delay and pose with covariance.
+Out: bias, sensitivities, delay and pose with covariance.
 """

@@ -1,4 +1,4 @@
-"""Uncertainty of a calibration, as constraints on coefficients of sensor errors."""
+"""Covariance of a plate calibration, as constraints on coefficients of sensor errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array, freeze_arrays
 from testbed.core.estimation.regression.constraints import LinearConstraints
 from testbed.core.robot.tree import Tree
 from testbed.sensors.catalogue import estimable_errors
@@ -17,11 +17,11 @@ from testbed.sensors.systematic_error import SystematicError
 
 @dataclass(frozen=True, eq=False)
 class CalibrationCovariance:
-    """Doubt about numbers of the plate that were taken back from a recording.
+    """Covariance of the sensor coefficients used to correct a recording.
 
     Attributes:
-        names: Of the numbers, (k,).
-        root: R with R R' their covariance, (k, r).
+        names: Names of the coefficients, (k,).
+        root: Square root R of the covariance R R' of the coefficients, (k, r).
     """
 
     names: tuple[str, ...]
@@ -29,48 +29,57 @@ class CalibrationCovariance:
 
     def __post_init__(self) -> None:
         shape = (len(self.names), np.shape(self.root)[-1])
-        freeze(self, root=shape)
+        freeze_arrays(self, root=shape)
 
-    def nuisances(
-        self, tree: Tree, asked: Sequence[type[SystematicError]]
+    def calibrated_errors(
+        self, tree: Tree, estimated: Sequence[type[SystematicError]]
     ) -> list[type[SystematicError]]:
-        """Sensor errors of these coefficients, but for those that are estimated anyway.
+        """Sensor errors with calibrated coefficients that are not among the estimated errors.
+
+        Errors whose coefficients differ between recordings are excluded.
 
         Args:
-            tree: The robot.
-            asked: Those that are estimated.
+            tree: Robot.
+            estimated: Sensor errors that are estimated.
         """
-        named = set(self.names)
+        names = set(self.names)
         return [
-            n
-            for n in estimable_errors()
-            if n not in asked
-            and not n.of_one_recording
-            and named & {each.name for each in n.coefficients(tree)}
+            error
+            for error in estimable_errors()
+            if error not in estimated
+            and not error.of_one_recording
+            and names & {coefficient.name for coefficient in error.coefficients(tree)}
         ]
 
-    def added(
-        self, given: LinearConstraints, right: dict[str, float], unknowns: Sequence[str]
+    def with_calibration(
+        self,
+        constraints: LinearConstraints,
+        neutral: dict[str, float],
+        unknowns: Sequence[str],
     ) -> LinearConstraints:
-        """Facts with those about the plate: numbers are as they should be, but for the doubt.
+        """Constraints extended by neutral sensor coefficients with the calibration's covariance.
+
+        After correction, the coefficients have neutral values except for errors of the calibration.
 
         Args:
-            given: Facts about the unknowns.
-            right: Values of the plate's numbers where nothing is wrong, by name.
-            unknowns: Names of all unknowns, in the order of the facts' columns.
+            constraints: Constraints on the unknowns.
+            neutral: Values of the coefficients for sensors without errors, by name.
+            unknowns: Names of all unknowns, in the order of the constraints' columns.
         """
-        rows = np.zeros((len(right), len(unknowns)))
-        rows[range(len(right)), [list(unknowns).index(name) for name in right]] = 1.0
-        root = np.zeros((len(right), self.root.shape[1]))
-        for row, name in zip(root, right, strict=True):
+        rows = np.zeros((len(neutral), len(unknowns)))
+        rows[range(len(neutral)), [list(unknowns).index(name) for name in neutral]] = (
+            1.0
+        )
+        root = np.zeros((len(neutral), self.root.shape[1]))
+        for row, name in zip(root, neutral, strict=True):
             if name in self.names:
                 row[:] = self.root[self.names.index(name)]
         return replace(
-            given,
-            names=(*given.names, *right),
-            rows=np.vstack([given.rows, rows]),
-            values=np.append(given.values, list(right.values())),
-            root=block_diag(given.root, root),
-            scale=np.vstack([given.scale, np.zeros_like(rows)]),
-            reached=np.append(given.reached, np.zeros(len(right))),
+            constraints,
+            names=(*constraints.names, *neutral),
+            rows=np.vstack([constraints.rows, rows]),
+            values=np.append(constraints.values, list(neutral.values())),
+            root=block_diag(constraints.root, root),
+            scale=np.vstack([constraints.scale, np.zeros_like(rows)]),
+            present_scale=np.append(constraints.present_scale, np.zeros(len(neutral))),
         )

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class NuisanceEstimate:
-    """One number of the instrument that was estimated with the parameters.
+    """Coefficient of a sensor error, estimated together with the parameters.
 
     Attributes:
-        kind: Of the nuisance.
-        name: Such as "pose/rx".
-        unit: Its unit.
-        value: What the instrument adds or does.
-        sigma: Its standard deviation.
+        kind: Term of the sensor error, such as "pose".
+        name: Name of the coefficient, such as "pose/rx".
+        unit: Unit of the coefficient.
+        value: Estimated value.
+        sigma: Standard deviation of the value.
     """
 
     kind: str

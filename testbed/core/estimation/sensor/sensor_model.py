@@ -1,8 +1,8 @@
-"""Calibration parameters of the instruments beside the robot's: identifiable ones, by Gauss-Newton.
+"""Estimation of sensor coefficients together with the robot's parameters, by Gauss-Newton.
 
-Their columns are first-order effects. Each iteration corrects the recording by the values so far
-and estimates what remains; the last fit has the columns beside the robot's, and its covariance
-counts them.
+The columns of sensor errors are first-order effects. Each iteration corrects the recording with the
+current coefficients and estimates the remaining error. The last fit contains these columns together
+with those of the robot, so that its covariance accounts for both.
 """
 
 from __future__ import annotations
@@ -14,12 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import SettingsError, few
-from testbed.core.estimation.noise.coloured_noise import GlsFit, sensor_step
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import SettingsError, shortened_list
+from testbed.core.estimation.noise.coloured_noise import (
+    GlsFit,
+    white_noise_sensor_estimate,
+)
 from testbed.core.estimation.noise.whitening import NuisanceColumns
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.constraints import LinearConstraints, facts
+from testbed.core.estimation.regression.constraints import (
+    LinearConstraints,
+    known_value_constraints,
+)
 from testbed.core.estimation.regression.normal_equations import (
     NormalEquations,
     standard_deviations,
@@ -31,37 +37,37 @@ from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import (
-    Columns,
     NonIdentifiable,
-    Unknowns,
+    SensorErrorColumns,
+    SensorUnknowns,
     explain_nonidentifiable,
     identifiable_subset,
-    unknowns_of,
+    sensor_unknowns,
 )
 from testbed.core.estimation.settings import Settings
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
 from testbed.sensors.catalogue import estimable_errors
-from testbed.sensors.corrected import Corrected
+from testbed.sensors.corrected import CorrectedSource
 from testbed.sensors.errors.plate_bias import PlateBias
 from testbed.sensors.errors.plate_tare import PlateTare
 from testbed.sensors.systematic_error import SystematicError
 
-ROUNDS = 8
-"""Most corrections of a recording."""
+MAX_ITERATIONS = 8
+"""Largest number of Gauss-Newton iterations."""
 
-OWN = 0.1
-"""Share of an unknown's effect that has to be its own: below, columns made of noisy encoders are
-no measure of it."""
+MIN_OWN_SHARE = 0.1
+"""Smallest share of a coefficient's effect that is independent of other unknowns; below it, columns
+computed from noisy encoders do not determine the coefficient."""
 
 
 class LinearFit(NamedTuple):
-    """The weighted solution of a recording.
+    """Weighted least-squares solution of a recording.
 
     Attributes:
-        passes: Over its rows.
-        equations: Of all rows.
-        fit: The solution.
+        passes: Passes over the rows of the recording.
+        equations: Normal equations of all rows.
+        fit: Solution.
     """
 
     passes: Passes
@@ -71,85 +77,109 @@ class LinearFit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SensorModel:
-    """Calibration parameters of the instruments that are estimated or known.
+    """Sensor coefficients of an estimate, unknown or calibrated, and known values.
 
     Attributes:
-        settings: How signals are treated.
-        unknowns: Which are estimated.
-        nonidentifiable: Those asked for that are collinear with others.
-        known: What is known of the robot's unknowns and of those that are estimated.
-        corrected: Names of those that a calibrated plate has corrected: their covariance counts.
+        settings: Settings of the estimate.
+        unknowns: Unknown sensor coefficients.
+        nonidentifiable: Requested coefficients that are collinear with other unknowns.
+        known: Known values of the robot's unknowns and of the unknown coefficients.
+        calibrated_names: Names of coefficients that the plate calibration has corrected; only their
+            covariance is used.
     """
 
     settings: Settings
-    unknowns: Unknowns
+    unknowns: SensorUnknowns
     nonidentifiable: tuple[NonIdentifiable, ...]
     known: LinearConstraints
-    corrected: frozenset[str] = frozenset()
+    calibrated_names: frozenset[str] = frozenset()
 
     @classmethod
-    def of(
+    def from_problem(
         cls, problem: Problem, doubt: CalibrationCovariance | None = None
     ) -> SensorModel:
-        """Which calibration parameters are identifiable beside a robot's, before any data.
+        """Set up the identifiable sensor coefficients of a problem, without using its data.
 
         Args:
-            problem: Robot and recording. Its settings say which nuisances are asked for.
-            doubt: About the plate by which the recording was corrected.
+            problem: Robot and recording; its settings state the sensor errors.
+            doubt: Covariance of the plate calibration; None without a calibration.
+
+        Raises:
+            SettingsError: The wrench is a difference of two sensors, for which an error cannot be
+                estimated; or known values do not fix the scale of a crosstalk matrix.
         """
         settings, names, tree = problem.settings, problem.names, problem.layout.tree
-        plate = problem.method == "external"
+        plate = problem.method == "wrench"
         terms = settings.nuisances if plate else ()
-        asked = [error for error in estimable_errors() if error.term in terms]
-        calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
-        asked = [
+        requested = [error for error in estimable_errors() if error.term in terms]
+        calibrated = (
+            doubt.calibrated_errors(tree, requested)
+            if plate and doubt is not None
+            else []
+        )
+        requested = [
             error
             for error in estimable_errors()
-            if error in asked or error in calibrated
+            if error in requested or error in calibrated
         ]
-        _check_cut(tree, asked)
-        every = unknowns_of(tree, asked)
-        given = {n: v for n, v in settings.facts.items() if plate or n in names}
-        known = facts(tree, problem.minimal, names, every.names, given)
-        neutral = {
-            c.name: c.neutral for error in calibrated for c in error.coefficients(tree)
+        _check_sensor_difference(tree, requested)
+        all_coefficients = sensor_unknowns(tree, requested)
+        known_values = {
+            name: value
+            for name, value in settings.facts.items()
+            if plate or name in names
         }
-        if doubt is not None and neutral:
-            known = doubt.added(known, neutral, (*names, *every.names))
-        unknowns, nonidentifiable = identifiable_subset(problem, asked, known)
-        _check_whole(every, nonidentifiable, settings)
+        known = known_value_constraints(
+            tree, problem.minimal, names, all_coefficients.names, known_values
+        )
+        neutral_values = {
+            coefficient.name: coefficient.neutral
+            for error in calibrated
+            for coefficient in error.coefficients(tree)
+        }
+        if doubt is not None and neutral_values:
+            known = doubt.with_calibration(
+                known, neutral_values, (*names, *all_coefficients.names)
+            )
+        unknowns, nonidentifiable = identifiable_subset(problem, requested, known)
+        _check_joint_identifiability(all_coefficients, nonidentifiable, settings)
         return cls(
             settings=settings,
             unknowns=unknowns,
             nonidentifiable=nonidentifiable,
-            known=known.about(
-                [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
+            known=known.restricted_to(
+                [
+                    *range(len(names)),
+                    *(len(names) + k for k in unknowns.unknown_indices),
+                ]
             ),
-            corrected=frozenset(neutral),
+            calibrated_names=frozenset(neutral_values),
         )
 
     @property
-    def with_unknown_zero(self) -> tuple[str, ...]:
-        """Parameters that are collinear with constants of the plate that were asked for."""
+    def collinear_with_bias(self) -> tuple[str, ...]:
+        """Parameters that are collinear with a requested bias or tare of the plate."""
         terms = (PlateBias.term, PlateTare.term)
         return tuple(
-            n
-            for i in self.nonidentifiable
-            if i.name.partition("/")[0] in terms
-            for n in i.by
+            name
+            for item in self.nonidentifiable
+            if item.name.partition("/")[0] in terms
+            for name in item.collinear_names
         )
 
-    def columns(self, plan: Plan, values: Array, numbers: Array) -> NuisanceColumns:
-        """Columns to first order around an estimate.
+    def columns(
+        self, plan: Plan, values: Array, coefficients: Array
+    ) -> NuisanceColumns:
+        """Linearised columns of the sensor errors, with known values as constraints.
 
         Args:
-            plan: The rows.
+            plan: Plan of the rows.
             values: Minimal parameters, (p,).
-            numbers: Of the instrument, by which the recording was corrected, (s,).
+            coefficients: Sensor coefficients used to correct the recording, (s,).
         """
-        known = self.known.around(np.concatenate([values, numbers]))
-        if not self.unknowns.kept:
-            return NuisanceColumns(facts=known)
+        constraints = self.known.on_corrections(np.concatenate([values, coefficients]))
+        if not self.unknowns.unknown_indices:
+            return NuisanceColumns(constraints=constraints)
         cutoff = self.settings.row_low_pass
         assert cutoff is not None, (
             "settings refuse nuisances of rows that are not filtered"
@@ -157,116 +187,139 @@ class SensorModel:
         exact = any(error.jointly for error in self.unknowns.nuisances)
         filtered = row_filter(plan, cutoff, exact=exact)
         sensed = plan.source.senses_kinematics
-        noisy = 0.0 if sensed else self.settings.position_low_pass or 0.0
+        position_cutoff = 0.0 if sensed else self.settings.position_low_pass or 0.0
         return NuisanceColumns(
-            columns=Columns(
+            columns=SensorErrorColumns(
                 plan,
                 filtered,
                 values,
                 self.unknowns,
-                self.unknowns.unmixing(numbers),
-                unfolded=row_filter(plan, cutoff, exact=exact, noisy=noisy),
+                self.unknowns.unmixing(coefficients),
+                unfolded=row_filter(
+                    plan, cutoff, exact=exact, position_cutoff=position_cutoff
+                ),
             ),
-            unknown=len(self.unknowns.kept),
-            facts=known,
+            count=len(self.unknowns.unknown_indices),
+            constraints=constraints,
         )
 
     def estimates(self, values: Array, fit: GlsFit) -> tuple[NuisanceEstimate, ...]:
-        """The instrument's numbers.
+        """Estimates of the sensor coefficients, without coefficients from the plate calibration.
 
         Args:
-            values: By which the recording was corrected, (s,).
-            fit: The last fit, of what remains.
+            values: Coefficients used to correct the recording, (s,).
+            fit: Last fit, which estimates the remaining error.
         """
-        sigma = standard_deviations(fit.sensor_covariance)
-        own = self.unknowns
-        numbers = zip(
-            own.terms,
-            own.names,
-            own.units,
+        sigmas = standard_deviations(fit.sensor_covariance)
+        unknowns = self.unknowns
+        estimates = zip(
+            unknowns.terms,
+            unknowns.names,
+            unknowns.units,
             values + fit.sensor_values,
-            sigma,
+            sigmas,
             strict=True,
         )
         return tuple(
-            NuisanceEstimate(kind, name, unit, float(value), float(spread))
-            for kind, name, unit, value, spread in numbers
-            if name not in self.corrected
+            NuisanceEstimate(kind, name, unit, float(value), float(sigma))
+            for kind, name, unit, value, sigma in estimates
+            if name not in self.calibrated_names
         )
 
     def covariance(self, fit: GlsFit) -> Array:
-        """Covariance of the instrument's numbers, (s, s), in the order of `estimates`.
+        """Covariance of the sensor coefficients, (s, s), in the order of `estimates`.
 
         Args:
-            fit: The last fit.
+            fit: Last fit.
         """
-        kept = [
+        indices = [
             k
             for k, name in enumerate(self.unknowns.names)
-            if name not in self.corrected
+            if name not in self.calibrated_names
         ]
-        return fit.sensor_covariance[np.ix_(kept, kept)]
+        return fit.sensor_covariance[np.ix_(indices, indices)]
 
     def diagnostics(self, result: GaussNewtonResult) -> Iterator[Diagnostic]:
-        """Calibration parameters that were asked for and are not identifiable.
+        """Diagnostics of collinear and weakly determined coefficients, and of convergence.
+
+        A coefficient is weakly determined if less than MIN_OWN_SHARE (0.1) of its effect is
+        independent of the other unknowns. A lack of convergence after MAX_ITERATIONS is reported.
 
         Args:
-            result: Of the iterations.
+            result: Result of the Gauss-Newton iterations.
         """
         groups: dict[tuple[str, ...], list[str]] = {}
-        for each in self.nonidentifiable:
-            groups.setdefault(each.by, []).append(each.name)
+        for item in self.nonidentifiable:
+            groups.setdefault(item.collinear_names, []).append(item.name)
         for by, names in groups.items():
             verb = "is" if len(names) == 1 else "are"
-            yield diagnose(
-                "plate.collinear", ", ".join(names), verb=verb, others=few(by)
+            yield make_diagnostic(
+                "plate.collinear",
+                ", ".join(names),
+                verb=verb,
+                others=shortened_list(by),
             )
         if result.weak:
             verb = "is" if len(result.weak) == 1 else "are"
-            yield diagnose("plate.uncertain", few(result.weak), verb=verb, share=OWN)
+            yield make_diagnostic(
+                "plate.uncertain",
+                shortened_list(result.weak),
+                verb=verb,
+                share=MIN_OWN_SHARE,
+            )
         if not result.converged:
-            yield diagnose("plate.not-converged", value=ROUNDS)
+            yield make_diagnostic("plate.not-converged", value=MAX_ITERATIONS)
 
 
-def _check_cut(tree: Tree, asked: Sequence[type[SystematicError]]) -> None:
-    """Raise SettingsError where more than zeros is asked of a difference of two sensors."""
-    mixed = [
+def _check_sensor_difference(
+    tree: Tree, requested: Sequence[type[SystematicError]]
+) -> None:
+    """Raise SettingsError for sensor errors that a difference of two sensors cannot identify.
+
+    Only additive errors, zeros and trends, are identifiable from such a difference.
+    """
+    unsupported = [
         error.term
-        for error in asked
+        for error in requested
         if tree.cuts and (not error.added or error.jointly)
     ]
-    if mixed:
+    if unsupported:
         raise SettingsError(
-            f"{', '.join(mixed)}: of a wrench that is a difference of two sensors' only zeros "
-            "and trends can be estimated; calibrate each sensor with all that it carries"
+            f"{', '.join(unsupported)}: of a wrench that is a difference of two sensors' only "
+            "zeros and trends can be estimated; calibrate each sensor with all that it carries"
         )
 
 
-def _check_whole(
-    every: Unknowns, nonidentifiable: Sequence[NonIdentifiable], settings: Settings
+def _check_joint_identifiability(
+    coefficients: SensorUnknowns,
+    nonidentifiable: Sequence[NonIdentifiable],
+    settings: Settings,
 ) -> None:
-    """Whether all numbers are identifiable of those nuisances that are of no use otherwise.
+    """Check sensor errors that are useful only if all their coefficients are identifiable.
+
+    An example is the crosstalk matrix of the plate.
 
     Raises:
-        SettingsError: Some cannot; says which, and what to do.
+        SettingsError: Some coefficients are not identifiable; the message lists remedies.
     """
-    needed = {error.term for error in every.nuisances if error.jointly}
-    terms = dict(zip(every.names, every.terms, strict=True))
-    open_ones = [each for each in nonidentifiable if terms[each.name] in needed]
-    if open_ones:
+    joint_terms = {error.term for error in coefficients.nuisances if error.jointly}
+    terms = dict(zip(coefficients.names, coefficients.terms, strict=True))
+    unresolved = [item for item in nonidentifiable if terms[item.name] in joint_terms]
+    if unresolved:
         raise SettingsError(
-            explain_nonidentifiable(open_ones, settings.known, settings.nuisances)
+            explain_nonidentifiable(unresolved, settings.known, settings.nuisances)
         )
 
 
 class GaussNewtonResult(NamedTuple):
-    """Calibration parameters, and the weighted solution of the corrected recording.
+    """Sensor coefficients, and the weighted solution of the corrected recording.
 
     Attributes:
-        solution: Of the recording as the values correct it.
-        values: Of the calibration parameters, (s,).
-        converged: Whether the last correction was small.
-        weak: Names of those of which the data hold hardly anything.
+        solution: Weighted solution of the recording corrected with the values.
+        values: Values of the coefficients, (s,).
+        converged: True if the last step was below 0.05 sigma.
+        weak: Names of coefficients with less than MIN_OWN_SHARE of their effect independent of the
+            other unknowns.
     """
 
     solution: LinearFit
@@ -278,30 +331,38 @@ class GaussNewtonResult(NamedTuple):
 def gauss_newton(
     source: Source, solve: Callable[[Source], LinearFit], model: SensorModel
 ) -> GaussNewtonResult:
-    """Calibration parameters by Gauss-Newton: correct the recording, estimate what remains.
+    """Estimate sensor coefficients by Gauss-Newton iterations that correct the recording.
+
+    The iterations end when all steps are below 0.05 sigma, or after MAX_ITERATIONS.
 
     Args:
-        source: The recording.
-        solve: Finds the weighted solution of a recording.
-        model: Which parameters.
+        source: Recording.
+        solve: Function that returns the weighted solution of a recording.
+        model: Unknown coefficients and known values.
     """
     values, solution = model.unknowns.neutral, solve(source)
     weak: tuple[str, ...] = ()
     if not len(values):
         return GaussNewtonResult(solution, values, True, weak)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         plan = solution.passes.plan
         columns = model.columns(plan, solution.fit.values, values)
-        step, sigma, share = sensor_step(solution.fit, solution.passes, columns)
-        # with a whole matrix all numbers are correlated, and sigma holds all the same: measured
+        step, sigma, shares = white_noise_sensor_estimate(
+            solution.fit, solution.passes, columns
+        )
+        # with a full crosstalk matrix all coefficients are correlated, yet sigma was found to hold
         if not any(error.jointly for error in model.unknowns.nuisances):
-            each = zip(model.unknowns.names, share, strict=True)
-            weak = tuple(n for n, s in each if s < OWN and n not in model.corrected)
+            named_shares = zip(model.unknowns.names, shares, strict=True)
+            weak = tuple(
+                name
+                for name, share in named_shares
+                if share < MIN_OWN_SHARE and name not in model.calibrated_names
+            )
         values = values + step
         solution = solve(
-            Corrected(source, model.unknowns.by_error(values), plan.layout.tree)
+            CorrectedSource(source, model.unknowns.by_error(values), plan.layout.tree)
         )
-        # a correction that is smaller, beside sigma or the number itself, is the last
+        # converged: the step is small relative to sigma or to the value
         if np.all(np.abs(step) <= 0.05 * sigma + 1e-7 * np.abs(values)):
             return GaussNewtonResult(solution, values, True, weak)
     return GaussNewtonResult(solution, values, False, weak)

@@ -1,4 +1,4 @@
-"""Unknowns of the instrument: their columns, and which of them no motion can identify."""
+"""Coefficients of sensor errors: regressor columns and identifiable subset."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import few
-from testbed.core.dynamics.newton_euler import Motion, linear
+from testbed.core.base.errors import shortened_list
+from testbed.core.dynamics.newton_euler import Motion, linear_inverse_dynamics
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.constraints import MASS, LinearConstraints, free
+from testbed.core.estimation.regression.constraints import (
+    TOTAL_MASS,
+    LinearConstraints,
+    free,
+)
 from testbed.core.estimation.regression.windows import Plan
-from testbed.core.estimation.sensor.predicted_wrench import predict_wrench
-from testbed.core.kernel.records import Signals
+from testbed.core.estimation.sensor.predicted_wrench import window_prediction
+from testbed.core.kernel.records import SignalWindow
 from testbed.core.robot.tree import Tree
 from testbed.sensors.errors.plate_bias import PlateBias
 from testbed.sensors.predicted_wrench import PredictedWrench, RowFilter
@@ -22,273 +26,303 @@ from testbed.sensors.systematic_error import Coefficient, SystematicError
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
-    """Coefficients of sensor errors, some of them unknown.
+class SensorUnknowns:
+    """Coefficients of sensor errors, a subset of which is unknown.
 
     Attributes:
-        nuisances: The sensor errors.
-        counts: Coefficients of each.
-        coefficients: Of all, sensor error by sensor error.
-        kept: Places of the unknown ones among them; the others are neutral.
+        nuisances: Sensor errors.
+        counts: Number of coefficients of each sensor error.
+        coefficients: All coefficients, grouped by sensor error.
+        unknown_indices: Indices of the unknown coefficients; the others have neutral values.
     """
 
     nuisances: tuple[type[SystematicError], ...]
     counts: tuple[int, ...]
     coefficients: tuple[Coefficient, ...]
-    kept: tuple[int, ...]
+    unknown_indices: tuple[int, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknown coefficients."""
-        return tuple(self.coefficients[k].name for k in self.kept)
+        return tuple(self.coefficients[k].name for k in self.unknown_indices)
 
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the unknown coefficients."""
-        return tuple(self.coefficients[k].unit for k in self.kept)
+        return tuple(self.coefficients[k].unit for k in self.unknown_indices)
 
     @property
     def neutral(self) -> Array:
-        """Values of the unknown coefficients of sensors without errors."""
-        return np.array([self.coefficients[k].neutral for k in self.kept])
+        """Values of the unknown coefficients for sensors without errors."""
+        return np.array([self.coefficients[k].neutral for k in self.unknown_indices])
 
     @property
     def terms(self) -> tuple[str, ...]:
         """Term of each unknown coefficient."""
         terms = np.repeat([n.term for n in self.nuisances], self.counts)
-        return tuple(str(terms[k]) for k in self.kept)
+        return tuple(str(terms[k]) for k in self.unknown_indices)
 
     def unmixing(self, values: Array) -> Array | None:
-        """Inverse of a mixture of the plate's channels, (6, 6); None for no mixture.
+        """Inverse of the crosstalk matrix of the plate's channels, (6, 6); None without crosstalk.
 
         Args:
-            values: Of the unknown coefficients.
+            values: Values of the unknown coefficients, (s,).
         """
-        inverses = (error.unmixing(own) for error, own in self.by_error(values).items())
-        return next((each for each in inverses if each is not None), None)
+        inverses = (
+            error.unmixing_matrix(coefficients)
+            for error, coefficients in self.by_error(values).items()
+        )
+        return next((inverse for inverse in inverses if inverse is not None), None)
 
     def by_error(self, values: Array) -> dict[type[SystematicError], Array]:
-        """Coefficients of each sensor error, those that are not unknown neutral.
+        """Values of all coefficients, keyed by sensor error; neutral for known coefficients.
 
         Args:
-            values: Of the unknown coefficients.
+            values: Values of the unknown coefficients, (s,).
         """
-        every = np.array([each.neutral for each in self.coefficients])
-        every[list(self.kept)] = values
-        blocks = np.split(every, np.cumsum(self.counts, dtype=int))[:-1]
+        coefficients = np.array(
+            [coefficient.neutral for coefficient in self.coefficients]
+        )
+        coefficients[list(self.unknown_indices)] = values
+        blocks = np.split(coefficients, np.cumsum(self.counts, dtype=int))[:-1]
         return dict(zip(self.nuisances, blocks, strict=True))
 
 
-def unknowns_of(tree: Tree, nuisances: Sequence[type[SystematicError]]) -> Unknowns:
-    """All coefficients of sensor errors.
+def sensor_unknowns(
+    tree: Tree, nuisances: Sequence[type[SystematicError]]
+) -> SensorUnknowns:
+    """Coefficients of sensor errors on a robot, with every coefficient unknown.
 
     Args:
-        tree: The robot.
-        nuisances: The sensor errors.
+        tree: Robot.
+        nuisances: Sensor errors.
     """
-    each = [error.coefficients(tree) for error in nuisances]
-    coefficients = tuple(coefficient for own in each for coefficient in own)
-    counts = tuple(len(own) for own in each)
-    return Unknowns(
+    coefficients_by_error = [error.coefficients(tree) for error in nuisances]
+    coefficients = tuple(
+        coefficient
+        for error_coefficients in coefficients_by_error
+        for coefficient in error_coefficients
+    )
+    counts = tuple(
+        len(error_coefficients) for error_coefficients in coefficients_by_error
+    )
+    return SensorUnknowns(
         tuple(nuisances), counts, coefficients, tuple(range(len(coefficients)))
     )
 
 
-class Columns:
-    """Columns of unknowns of the instrument, window by window."""
+class SensorErrorColumns:
+    """Regressor columns of unknown sensor coefficients, window by window."""
 
     def __init__(
         self,
         plan: Plan,
         filtered: RowFilter,
         values: Array,
-        unknowns: Unknowns,
+        unknowns: SensorUnknowns,
         unmixing: Array | None = None,
         unfolded: RowFilter | None = None,
     ) -> None:
-        """To first order around an estimate.
+        """Linearise the sensor errors about an estimate.
 
         Args:
-            plan: The rows.
-            filtered: The filter that they pass.
+            plan: Plan of the rows.
+            filtered: Filter on rows.
             values: Minimal parameters, (p,).
-            unknowns: Whose columns.
-            unmixing: Inverse of the mixture of the plate's channels that was taken back, (6, 6).
-            unfolded: At more instants, for nuisances that need them; default the same filter.
+            unknowns: Unknown coefficients.
+            unmixing: Inverse of the crosstalk matrix used to correct the recording, (6, 6); None
+                without such a correction.
+            unfolded: Filter on rows at a higher rate, for sensor errors whose columns would alias
+                encoder noise; default: `filtered`.
         """
         self._unfolded = unfolded or filtered
         self._unmixing = unmixing
         self._plan, self._filtered, self._unknowns = plan, filtered, unknowns
         layout = plan.layout
         self._theta = np.asarray(layout.theta @ (layout.basis @ values))
-        self._kept: dict[int, Array] = {}
-        # bytes of columns that are kept from one pass to the next
-        self._keeps = plan.rows * 6 * len(unknowns.kept) * 8 < 64e6
+        self._cached_columns: dict[int, Array] = {}
+        # columns are cached between passes if they take less than 64 MB
+        self._is_small = plan.rows * 6 * len(unknowns.unknown_indices) * 8 < 64e6
 
-    def __call__(self, signals: Signals, first: int) -> Array:
-        """Of a window's rows, (6, rows, s).
+    def __call__(self, signals: SignalWindow, first: int) -> Array:
+        """Columns of a window's rows, (6, rows, s), cached if small.
 
         Args:
-            signals: The window's.
-            first: Number of its first row.
+            signals: Signals of the window.
+            first: Index of the window's first row.
         """
-        if first in self._kept:
-            return self._kept[first]
-        made = self._made(signals, first)
-        if self._keeps:
-            self._kept[first] = made
-        return made
+        if first in self._cached_columns:
+            return self._cached_columns[first]
+        columns = self._compute(signals, first)
+        if self._is_small:
+            self._cached_columns[first] = columns
+        return columns
 
-    def _made(self, signals: Signals, first: int) -> Array:
+    def _compute(self, signals: SignalWindow, first: int) -> Array:
+        """Compute the columns of a window's rows, (6, rows, s)."""
         nuisances = self._unknowns.nuisances
-        found = {
-            finer: predict_wrench(
+        predictions = {
+            anti_aliased: window_prediction(
                 self._plan,
-                self._unfolded if finer else self._filtered,
+                self._unfolded if anti_aliased else self._filtered,
                 self._theta,
                 signals,
                 first,
             )
-            for finer in {n.unfolded for n in nuisances}
+            for anti_aliased in {n.unfolded for n in nuisances}
         }
-        made = [self._effect(n, found[n.unfolded]) for n in nuisances]
-        kept = np.concatenate(made, axis=2)[..., list(self._unknowns.kept)]
-        return kept.transpose(1, 0, 2)
+        blocks = [self._error_columns(n, predictions[n.unfolded]) for n in nuisances]
+        columns = np.concatenate(blocks, axis=2)[
+            ..., list(self._unknowns.unknown_indices)
+        ]
+        return columns.transpose(1, 0, 2)
 
-    def _effect(
+    def _error_columns(
         self, error: type[SystematicError], predicted: PredictedWrench
     ) -> Array:
-        """Columns of a sensor error, mixtures of the channels taken back."""
-        columns = error.measured_columns(predicted)
+        """Columns of a sensor error after correction of the crosstalk, (rows, 6, k)."""
+        columns = error.columns_from_measured(predicted)
         if not error.added or self._unmixing is None:
             return columns
         return self._unmixing @ columns
 
 
-RATE = 50.0
-"""Instants a second of the generic motion: the widest stencil below needs no more."""
+SAMPLING_RATE = 50.0
+"""Sampling rate of the generic motion [Hz], sufficient for the widest stencil below."""
 
-SINES = 5
-"""Of a joint's generic motion."""
+SINE_COUNT = 5
+"""Number of sines in a joint's generic motion."""
 
 
 @dataclass(frozen=True)
 class NonIdentifiable:
-    """A number of the instrument that is taken as zero, since others show the same.
+    """Sensor coefficient that is collinear with others and kept at its neutral value.
 
     Attributes:
-        name: Its name.
-        by: The parameters, and the instrument's numbers, that change with it.
+        name: Name of the coefficient.
+        collinear_names: Names of the collinear parameters and coefficients.
     """
 
     name: str
-    by: tuple[str, ...]
+    collinear_names: tuple[str, ...]
 
 
 def identifiable_subset(
     problem: Problem,
     nuisances: Sequence[type[SystematicError]],
-    stated: LinearConstraints | None = None,
-) -> tuple[Unknowns, tuple[NonIdentifiable, ...]]:
-    """Which numbers of nuisances can be estimated beside the parameters.
+    constraints: LinearConstraints | None = None,
+) -> tuple[SensorUnknowns, tuple[NonIdentifiable, ...]]:
+    """Sensor coefficients that are identifiable together with the parameters, and the others.
+
+    A rank test is applied to the columns of a robot with random parameters along a random motion;
+    no data are used. Coefficients with known values are not tested; they are counted as
+    identifiable.
 
     Args:
         problem: Robot and recording.
-        nuisances: The kinds, earlier ones preferred.
-        stated: What is known of parameters and of all numbers of the nuisances.
+        nuisances: Sensor errors, of which the earlier ones have priority.
+        constraints: Known values of parameters and coefficients.
     """
-    names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
+    names, unknowns = problem.names, sensor_unknowns(problem.layout.tree, nuisances)
     if not nuisances:
-        return wanted, ()
-    count, rng = len(wanted.coefficients), np.random.default_rng(1996)
-    own, theirs = _generic_columns(
+        return unknowns, ()
+    count, rng = len(unknowns.coefficients), np.random.default_rng(1996)
+    robot_columns, sensor_columns = _generic_columns(
         problem, nuisances, 40 + (len(names) + count) // 2, rng
     )
-    labels, sure = list(names), [False] * count
-    if stated is not None and len(stated):
-        left = free(stated)
-        sure = [not row.any() for row in left.lead[len(names) :]]
-        about = left.lead[: len(names)].any(axis=0)
-        own = own @ left.lead[: len(names), about]
+    labels, is_known = list(names), [False] * count
+    if constraints is not None and len(constraints):
+        null_space = free(constraints)
+        is_known = [not row.any() for row in null_space.basis[len(names) :]]
+        free_unknowns = null_space.basis[: len(names)].any(axis=0)
+        robot_columns = robot_columns @ null_space.basis[: len(names), free_unknowns]
         labels = [
             names[int(np.abs(column).argmax())]
-            for column in left.lead[: len(names), about].T
+            for column in null_space.basis[: len(names), free_unknowns].T
         ]
-    kept, nonidentifiable = _in_turn((own, labels), (theirs, wanted.names), sure)
-    return replace(wanted, kept=kept), nonidentifiable
+    indices, nonidentifiable = _independent_columns(
+        (robot_columns, labels), (sensor_columns, unknowns.names), is_known
+    )
+    return replace(unknowns, unknown_indices=indices), nonidentifiable
 
 
-Named = tuple[Array, Sequence[str]]
-"""Columns, (rows, k), and what they are called."""
+NamedColumns = tuple[Array, Sequence[str]]
+"""Columns, (rows, k), and their names."""
 
 
-def _in_turn(
-    known: Named, others: Named, sure: Sequence[bool]
+def _independent_columns(
+    first_columns: NamedColumns, candidates: NamedColumns, is_known: Sequence[bool]
 ) -> tuple[tuple[int, ...], tuple[NonIdentifiable, ...]]:
-    """Columns that are linearly independent of those before them, and the rest.
+    """Indices of columns that are linearly independent of earlier columns, and the others.
+
+    Unit columns are orthogonalised by Gram-Schmidt; a remainder of length up to 1e-6 is taken as
+    zero.
 
     Args:
-        known: The first.
-        others: Taken one after the other.
-        sure: Which of them are known anyway.
+        first_columns: Columns that precede all candidates.
+        candidates: Columns to be tested one by one.
+        is_known: True for each candidate with a known value, which is not tested.
 
     Returns:
-        Places of those that are identifiable; the rest.
+        Indices of the identifiable candidates, and the other candidates with their collinear
+            columns.
     """
-    columns, labels = _unit(known[0]), list(known[1])
+    columns, labels = _unit_columns(first_columns[0]), list(first_columns[1])
     basis, _ = np.linalg.qr(columns)
-    kept: list[int] = []
+    indices: list[int] = []
     nonidentifiable = []
-    for k, column in enumerate(_unit(others[0]).T):
-        if sure[k]:
-            kept.append(k)
+    for k, column in enumerate(_unit_columns(candidates[0]).T):
+        if is_known[k]:
+            indices.append(k)
             continue
-        rest = column - basis @ (basis.T @ column)
-        rest -= basis @ (basis.T @ rest)
-        length = float(np.linalg.norm(rest))
-        # length, of one, that others leave of a column that they imitate
+        remainder = column - basis @ (basis.T @ column)
+        remainder -= basis @ (basis.T @ remainder)
+        length = float(np.linalg.norm(remainder))
+        # smallest remainder of a unit column that is linearly independent
         if length > 1e-6:
-            basis = np.column_stack([basis, rest / length])
+            basis = np.column_stack([basis, remainder / length])
             columns = np.column_stack([columns, column])
-            labels.append(others[1][k])
-            kept.append(k)
+            labels.append(candidates[1][k])
+            indices.append(k)
             continue
         share = np.abs(np.linalg.lstsq(columns, column, rcond=None)[0])
-        # share of a combination, in units of its largest, that is worth a name
+        # smallest coefficient of a named column, relative to the largest
         by = [n for n, s in zip(labels, share, strict=True) if s > 1e-6 * share.max()]
-        nonidentifiable.append(NonIdentifiable(others[1][k], tuple(by)))
-    return tuple(kept), tuple(nonidentifiable)
+        nonidentifiable.append(NonIdentifiable(candidates[1][k], tuple(by)))
+    return tuple(indices), tuple(nonidentifiable)
 
 
 def explain_nonidentifiable(
-    open_ones: Sequence[NonIdentifiable],
+    unresolved: Sequence[NonIdentifiable],
     known: Collection[str],
     nuisances: Collection[str],
 ) -> str:
-    """What no motion identifies, and which facts would, in a line.
+    """Error message about nonidentifiable coefficients, with known values that would help.
 
     Args:
-        open_ones: Numbers of the plate.
-        known: Names of the facts.
-        nuisances: Kinds that are estimated.
+        unresolved: Sensor coefficients that are not identifiable.
+        known: Names of the known values.
+        nuisances: Terms of the estimated sensor errors.
     """
-    first, more = open_ones[0], len(open_ones) - 1
-    # characters for what imitates a number that is open
+    first, remaining_count = unresolved[0], len(unresolved) - 1
+    # the collinear parameters may take 40 characters
     phrase = (
-        f"{first.name} from {few(first.by, 40)}{f', nor {more} others' * (more > 0)}"
+        f"{first.name} from {shortened_list(first.collinear_names, 40)}"
+        f"{f', nor {remaining_count} others' * (remaining_count > 0)}"
     )
-    zero = " (the zero of Fz is unknown: the mass alone does not)" * (
-        MASS in known and PlateBias.term in nuisances
+    bias_note = " (the zero of Fz is unknown: the mass alone does not)" * (
+        TOTAL_MASS in known and PlateBias.term in nuisances
     )
     return (
         f"no motion identifies {phrase}: state a known value. A total mass (mass=20) and a gain "
-        f"(gain/Fz=1) fix the scale{zero}; so does a gain with a centre of mass (centre/x=0.1)"
+        f"(gain/Fz=1) fix the scale{bias_note}; so does a gain with a centre of mass (centre/x=0.1)"
     )
 
 
-def _unit(columns: Array) -> Array:
-    length = np.linalg.norm(columns, axis=0)
-    return columns / np.where(length > 0, length, 1.0)
+def _unit_columns(columns: Array) -> Array:
+    """Columns scaled to unit length; zero columns unchanged."""
+    norms = np.linalg.norm(columns, axis=0)
+    return columns / np.where(norms > 0, norms, 1.0)
 
 
 def _generic_columns(
@@ -297,22 +331,24 @@ def _generic_columns(
     rows: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Columns of the parameters and of the nuisances along a generic motion, (6 rows, .).
+    """Columns of p parameters, (6 rows, p), and of s sensor coefficients, (6 rows, s).
+
+    They are computed for random parameters along a random motion sampled at 50 Hz.
 
     Args:
         problem: Robot and recording.
-        nuisances: The kinds.
-        rows: Instants.
-        rng: Draws the robot and its motion.
+        nuisances: Sensor errors.
+        rows: Number of instants.
+        rng: Random generator for parameters and motion.
     """
     layout = problem.layout
-    lead = layout.theta @ layout.basis
-    theta = np.asarray(lead @ rng.normal(size=lead.shape[2]))
-    motion = _generic_motion(np.arange(rows + 4) / RATE, problem.tree.n, rng)
-    # a row is one instant; its slope needs five
-    slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE
+    basis = layout.theta @ layout.basis
+    theta = np.asarray(basis @ rng.normal(size=basis.shape[2]))
+    motion = _generic_motion(np.arange(rows + 4) / SAMPLING_RATE, problem.tree.n, rng)
+    # each row is one instant; its derivative needs five
+    slopes = np.array([1, -8, 0, 8, -1]) / 12 * SAMPLING_RATE
     weights = np.array([0, 0, 1.0, 0, 0])
-    found = PredictedWrench(
+    prediction = PredictedWrench(
         tree=layout.tree,
         gravity=layout.gravity,
         theta=theta,
@@ -320,20 +356,36 @@ def _generic_columns(
         tare=problem.tare,
         time=motion.t[2:-2] - motion.t.mean(),
         filter=RowFilter(1, weights, slopes, 1, weights, slopes),
-        measured=np.zeros((rows, 6, 5)),
+        measured_samples=np.zeros((rows, 6, 5)),
     )
-    parameters = linear(layout.tree, motion, lead, layout.gravity)[1][2:-2]
-    theirs = np.concatenate([nuisance.columns(found) for nuisance in nuisances], axis=2)
-    return parameters.reshape(6 * rows, -1), theirs.reshape(6 * rows, -1)
+    robot_columns = linear_inverse_dynamics(layout.tree, motion, basis, layout.gravity)[
+        1
+    ][2:-2]
+    sensor_columns = np.concatenate(
+        [nuisance.regressor_columns(prediction) for nuisance in nuisances], axis=2
+    )
+    return robot_columns.reshape(6 * rows, -1), sensor_columns.reshape(6 * rows, -1)
 
 
 def _generic_motion(time: Array, joints: int, rng: np.random.Generator) -> Motion:
-    """Sums of sines of random frequencies and amplitudes."""
-    speed = 2 * np.pi * rng.uniform(0.1, 1.0, (SINES, joints))
-    size = rng.normal(size=(2, SINES, joints)) / SINES
-    phase = time[:, None, None] * speed
-    wave = size[0] * np.sin(phase) + size[1] * np.cos(phase)
-    rate = speed * (size[0] * np.cos(phase) - size[1] * np.sin(phase))
+    """Joint motion as sums of sines with random frequencies and amplitudes.
+
+    Args:
+        time: Instants, (m,) [s].
+        joints: Number of joints.
+        rng: Random generator.
+    """
+    frequencies = 2 * np.pi * rng.uniform(0.1, 1.0, (SINE_COUNT, joints))
+    amplitudes = rng.normal(size=(2, SINE_COUNT, joints)) / SINE_COUNT
+    phases = time[:, None, None] * frequencies
+    positions = amplitudes[0] * np.sin(phases) + amplitudes[1] * np.cos(phases)
+    velocities = frequencies * (
+        amplitudes[0] * np.cos(phases) - amplitudes[1] * np.sin(phases)
+    )
     return Motion(
-        time, *(each.sum(axis=1) for each in (wave, rate, -(speed**2) * wave))
+        time,
+        *(
+            each.sum(axis=1)
+            for each in (positions, velocities, -(frequencies**2) * positions)
+        ),
     )

@@ -1,5 +1,5 @@
-"""The format of recordings: Parquet.
+"""File format of recordings: Parquet.
 
 In: a file.
-Out: named columns, read block by block.
+Out: named columns, read in blocks of rows.
 """

@@ -1,4 +1,4 @@
-"""Recordings in Parquet: columns of doubles, units in the schema, metadata as JSON beside it."""
+"""Parquet files of recordings: float64 columns, with units and JSON metadata in the schema."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError, no_file
-from testbed.core.base.file_kinds import expecting
+from testbed.core.base.errors import RecordingError, missing_file_message
+from testbed.core.base.file_kinds import explain_wrong_kind
 
 FORMAT = "testbed recording 1"
-"""Name and version of the layout, kept in the file."""
+"""Name and version of the file layout, stored in the metadata."""
 
-KEY = "testbed"
-"""Under which the schema keeps the metadata."""
+METADATA_KEY = "testbed"
+"""Key of the metadata in the schema."""
 
-MOST_METADATA = 16_000_000
-"""Bytes of metadata that a recording may have."""
+MAX_METADATA_BYTES = 16_000_000
+"""Largest size of a recording's metadata in bytes."""
 
 
 def is_parquet(path: Path) -> bool:
-    """Whether the file begins as Parquet files do."""
+    """True if the file begins with the signature of Parquet files."""
     with path.open("rb") as stream:
         return stream.read(4) == b"PAR1"
 
 
 def open_table(path: Path) -> ParquetTable:
-    """The columns of a recording's file.
+    """Open the Parquet file of a recording.
 
     Raises:
-        RecordingError: The file is missing or damaged, or no Parquet file.
+        RecordingError: The file is missing, damaged, or not a Parquet file.
     """
-    with expecting(path, "recording"):
+    with explain_wrong_kind(path, "recording"):
         if not path.exists():
-            raise RecordingError(no_file(path, "recording"))
+            raise RecordingError(missing_file_message(path, "recording"))
         if not path.is_file():
             raise RecordingError(
                 f"'{path}' is no file; testbed new --recording makes one of a dataset"
@@ -54,47 +54,47 @@ def open_table(path: Path) -> ParquetTable:
 
 
 class ParquetTable:
-    """Columns that stay in their file; rows are read as they are asked for.
+    """Columns of a Parquet file, with rows read on demand.
 
     Attributes:
         columns: Names of all columns.
         samples: Number of rows.
-        metadata: What the file says besides, unchecked.
+        metadata: Metadata of the file; only their layout is checked.
     """
 
     def __init__(self, path: Path) -> None:
-        """Open a file; reads its end only.
+        """Open a file; read its footer only.
 
         Raises:
-            RecordingError: The file is damaged, or of another layout.
+            RecordingError: The file is damaged, or has another layout.
         """
         self._path = path
-        with readable(path):
-            # of a column, a mebibyte is read at once
+        with _parquet_errors(path):
+            # one mebibyte of a column is read at a time
             self._file = pq.ParquetFile(path, pre_buffer=False, buffer_size=1 << 20)
             self._schema = self._file.schema_arrow
             self.columns: tuple[str, ...] = tuple(self._schema.names)
             self.samples: int = self._file.metadata.num_rows
             self.metadata = _metadata(self._schema)
-        twice = {name for name in self.columns if self.columns.count(name) > 1}
-        if twice:
-            raise RecordingError(f"{path}: channel '{min(twice)}' is there twice")
-        self._reading: tuple[str, ...] = ()
+        duplicates = {name for name in self.columns if self.columns.count(name) > 1}
+        if duplicates:
+            raise RecordingError(f"{path}: channel '{min(duplicates)}' is there twice")
+        self._read_columns: tuple[str, ...] = ()
         self._restart((), 0)
 
     def read(self, columns: Sequence[str], first: int, last: int) -> dict[str, Array]:
-        """Rows `first` to `last` - 1 of some columns; cheap where asked for in their order.
+        """Read rows `first` to `last - 1` of some columns; fastest for consecutive rows.
 
         Raises:
-            RecordingError: The file is damaged there, or a column holds no numbers.
+            RecordingError: These rows of the file are damaged, or a column is not numeric.
         """
-        with readable(self._path):
+        with _parquet_errors(self._path):
             for name in columns:
                 _check_type(self._schema.field(name))
-            if tuple(columns) != self._reading or first < self._first:
+            if tuple(columns) != self._read_columns or first < self._first:
                 self._restart(tuple(columns), first)
             while self._first + sum(len(batch) for batch in self._batches) < last:
-                self._batches.append(next(self._rest))
+                self._batches.append(next(self._batch_iterator))
                 while self._batches and self._first + len(self._batches[0]) <= first:
                     self._first += len(self._batches.pop(0))
             schema = pa.schema([self._schema.field(name) for name in columns])
@@ -103,7 +103,7 @@ class ParquetTable:
             return {name: rows[name].to_numpy().astype(np.float64) for name in columns}
 
     def _restart(self, columns: tuple[str, ...], first: int) -> None:
-        """Read on from the row group that holds a row."""
+        """Restart reading at the row group that contains row `first`."""
         groups, start, group = self._file.metadata, 0, 0
         while (
             group + 1 < groups.num_row_groups
@@ -111,11 +111,13 @@ class ParquetTable:
         ):
             start += groups.row_group(group).num_rows
             group += 1
-        wanted = range(group, groups.num_row_groups)
-        self._first, self._reading = start, columns
+        remaining_groups = range(group, groups.num_row_groups)
+        self._first, self._read_columns = start, columns
         self._batches: list[pa.RecordBatch] = []
-        # samples read at once
-        self._rest = self._file.iter_batches(65_536, wanted, columns=list(columns))
+        # number of samples read at a time
+        self._batch_iterator = self._file.iter_batches(
+            65_536, remaining_groups, columns=list(columns)
+        )
 
 
 def write_table(
@@ -124,35 +126,35 @@ def write_table(
     metadata: Mapping[str, Any],
     parts: Iterable[Mapping[str, Array]],
 ) -> None:
-    """Write columns, part after part.
+    """Write a Parquet file of a recording, part by part.
 
     Args:
-        path: The file.
-        units: Of every column, by name; gives the order.
-        metadata: As JSON takes it.
-        parts: Consecutive rows, by column.
+        path: Path of the file.
+        units: Unit of each column, keyed by column name, in the order of the columns.
+        metadata: Metadata as values that can be written as JSON.
+        parts: Consecutive blocks of rows, each keyed by column name.
     """
     text = json.dumps({"format": FORMAT, **metadata}, sort_keys=True)
     fields = [
         pa.field(name, pa.float64(), metadata={"unit": u}) for name, u in units.items()
     ]
-    schema = pa.schema(fields, metadata={KEY: text})
+    schema = pa.schema(fields, metadata={METADATA_KEY: text})
     options = {"compression": "zstd", "compression_level": 1}
     with pq.ParquetWriter(
         path, schema, use_dictionary=False, use_byte_stream_split=True, **options
     ) as writer:
         for part in parts:
             arrays = [pa.array(part[name]) for name in units]
-            # samples a row group: what a streaming reader holds at once
+            # number of samples in a row group, which a streaming reader holds in memory
             writer.write_table(pa.table(arrays, schema=schema), 250_000)
 
 
 @contextmanager
-def readable(path: Path) -> Iterator[None]:
-    """Whatever pyarrow finds wrong with a file, as one error.
+def _parquet_errors(path: Path) -> Iterator[None]:
+    """Context manager that converts errors of pyarrow into `RecordingError`.
 
     Raises:
-        RecordingError: Says what.
+        RecordingError: The file cannot be read; the message gives the reason.
     """
     try:
         yield
@@ -176,27 +178,27 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def _metadata(schema: pa.Schema) -> dict[str, Any]:
-    """The file's own metadata, of the layout that this version knows.
+    """Parse the JSON metadata of a schema, and check the layout.
 
     Raises:
-        ValueError: They are of another layout, or too long.
+        ValueError: The metadata have another layout, or are too long.
     """
-    text = (schema.metadata or {}).get(KEY.encode(), b"{}")
-    if len(text) > MOST_METADATA:
+    text = (schema.metadata or {}).get(METADATA_KEY.encode(), b"{}")
+    if len(text) > MAX_METADATA_BYTES:
         raise ValueError(
-            f"its metadata have {len(text):.2g} bytes, more than {MOST_METADATA:.0g}"
+            f"its metadata have {len(text):.2g} bytes, more than {MAX_METADATA_BYTES:.0g}"
         )
-    found = json.loads(text)
-    if not isinstance(found, dict) or found.get("format", FORMAT) != FORMAT:
+    content = json.loads(text)
+    if not isinstance(content, dict) or content.get("format", FORMAT) != FORMAT:
         raise ValueError(f"its metadata are not of the layout '{FORMAT}'")
-    return found
+    return content
 
 
 def _check_type(field: pa.Field) -> None:
-    """Whether a column holds numbers.
+    """Check that a column is numeric.
 
     Raises:
-        ValueError: It holds something else.
+        ValueError: The column is of another type.
     """
     if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
         raise ValueError(

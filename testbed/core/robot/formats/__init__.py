@@ -1,4 +1,4 @@
-"""Readers of model files, one a format.
+"""Readers of model files, one module per format.
 
 In: URDF or MJCF.
 Out: links, joints and inertias for `Tree`.

@@ -1,4 +1,4 @@
-"""MuJoCo's compiler: kept quiet, without meshes that are missing, within bounds of size."""
+"""Compilation of MuJoCo models without warnings, without missing meshes, within size limits."""
 
 from __future__ import annotations
 
@@ -14,87 +14,103 @@ import mujoco
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
 from testbed.core.base.errors import ModelError
-from testbed.core.robot.asset_files import mjcf_files
+from testbed.core.robot.asset_files import mjcf_references
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.parsing import capture_stderr, decimals, read_xml
+from testbed.core.robot.parsing import capture_stderr, parse_decimals, read_xml
 from testbed.core.robot.rigid_matter import inertia_flaw
 
-MOST_MADE_BODIES, MOST_MADE_ELEMENTS = 5_000, 50_000
-"""Bodies, and elements of all kinds, that a file may become, copies counted."""
-MOST_CELLS = 10**7
-"""Of a height field: rows times columns."""
-MOST_RESERVED = 10**6
-"""Of anything that <size> reserves, memory aside, which MuJoCo bounds itself."""
-FINEST_MESH = 500
-"""Largest parameter of a mesh that MuJoCo makes: its resolution, squared in vertices."""
-DEEPEST_FILES = 8
-"""Files that may hold each other in a row."""
-_BODIES = ("body", "composite", "flexcomp")
-_COPIED = ("replicate", "composite", "flexcomp")
-"""Elements whose attribute `count` says how many copies are made."""
+MAX_BODIES, MAX_ELEMENTS = 5_000, 50_000
+"""Largest numbers of bodies and of all elements, after replication and inclusion."""
+MAX_HFIELD_CELLS = 10**7
+"""Largest number of cells of a height field, rows times columns."""
+MAX_RESERVED = 10**6
+"""Largest value in <size>; MuJoCo limits memory itself."""
+MAX_MESH_PARAMETER = 500
+"""Largest resolution of a builtin mesh; the number of vertices grows with its square."""
+MAX_FILE_DEPTH = 8
+"""Largest nesting depth of included files."""
+_BODY_TAGS = ("body", "composite", "flexcomp")
+_REPLICATING_TAGS = ("replicate", "composite", "flexcomp")
+"""Elements whose attribute `count` is the number of copies."""
 
 
 @dataclass(frozen=True)
-class _Size:
-    """How many elements and bodies something becomes."""
+class _ModelSize:
+    """Numbers of elements and bodies after replication and inclusion."""
 
     elements: int = 0
     bodies: int = 0
 
-    def __add__(self, other: _Size) -> _Size:
-        return _Size(self.elements + other.elements, self.bodies + other.bodies)
+    def __add__(self, other: _ModelSize) -> _ModelSize:
+        return _ModelSize(self.elements + other.elements, self.bodies + other.bodies)
 
-    def __mul__(self, copies: int) -> _Size:
-        return _Size(self.elements * copies, self.bodies * copies)
+    def __mul__(self, copies: int) -> _ModelSize:
+        return _ModelSize(self.elements * copies, self.bodies * copies)
 
 
-def check_files(path: Path) -> None:
-    """Whether a file, with all that it includes, attaches and copies, is of a size to be read.
+def check_mjcf_size(path: Path) -> None:
+    """Check that an MJCF file, with included files and replicated elements, is within size limits.
 
     Raises:
-        ModelError: It holds itself, or becomes too large; a file is not XML, or not UTF-8.
+        ModelError: The file includes itself or is too large; a file is not XML, or not UTF-8.
     """
-    made = _Files(path).size(path, ())
-    if made.elements > MOST_MADE_ELEMENTS or made.bodies > MOST_MADE_BODIES:
+    size = _SizeCounter(path).size(path, ())
+    if size.elements > MAX_ELEMENTS or size.bodies > MAX_BODIES:
         raise ModelError(
-            f"{path}: would become {_rounded(made.bodies)} bodies, {_rounded(made.elements)} "
-            f"elements in all; {MOST_MADE_BODIES} and {MOST_MADE_ELEMENTS} are the limits (see "
+            f"{path}: would become {_count_text(size.bodies)} bodies, {_count_text(size.elements)} "
+            f"elements in all; {MAX_BODIES} and {MAX_ELEMENTS} are the limits (see "
             "<replicate>, <attach>, <include>)"
         )
-    for _ in mjcf_files(path):  # refuses what cannot be read to an end
+    for _ in mjcf_references(path):  # raises an error for devices and pipes
         pass
 
 
-class _Files:
-    """Model files that hold each other, each read and counted once."""
+class _SizeCounter:
+    """Counter of elements and bodies in files that include each other."""
 
     def __init__(self, first: Path) -> None:
         self._first = first
-        self._counted: dict[Path, _Size] = {}
+        self._sizes: dict[Path, _ModelSize] = {}
 
-    def size(self, path: Path, within: tuple[Path, ...]) -> _Size:
-        """What a file becomes.
+    def size(self, path: Path, within: tuple[Path, ...]) -> _ModelSize:
+        """Numbers of elements and bodies of a file and of its included files.
 
         Args:
-            path: The file.
-            within: The files that hold it, outermost first.
+            path: Model file.
+            within: Files that include this file, outermost first.
+
+        Raises:
+            ModelError: The file includes itself, or files include each other more than
+                MAX_FILE_DEPTH deep.
         """
         place = path.resolve()
         if place in within:
             raise ModelError(
                 f"{self._first}: '{path.name}' holds itself, by <include> or <model>"
             )
-        if len(within) >= DEEPEST_FILES:
+        if len(within) >= MAX_FILE_DEPTH:
             raise ModelError(
-                f"{self._first}: more than {DEEPEST_FILES} files hold each other"
+                f"{self._first}: more than {MAX_FILE_DEPTH} files hold each other"
             )
-        if place not in self._counted:
-            self._counted[place] = self._count(path, (*within, place))
-        return self._counted[place]
+        if place not in self._sizes:
+            self._sizes[place] = self._count_elements(path, (*within, place))
+        return self._sizes[place]
 
-    def _count(self, path: Path, within: tuple[Path, ...]) -> _Size:
+    def _count_elements(self, path: Path, within: tuple[Path, ...]) -> _ModelSize:
+        """Count the elements and bodies of a file with all copies; check encoding and numbers.
+
+        An <attach> element adds the size of the model that it names, or of the largest model of the
+        file for an unknown name.
+
+        Args:
+            path: Model file.
+            within: The files that include this file, outermost first, and this file.
+
+        Raises:
+            ModelError: The file is not UTF-8 or not XML, or a stated size exceeds a limit.
+        """
         root = read_xml(path)
         try:
             path.read_text(encoding="utf-8")
@@ -102,112 +118,157 @@ class _Files:
             raise ModelError(
                 f"{path}: not UTF-8, which is all that MuJoCo reads"
             ) from None
-        models: dict[str, _Size] = {}
+        models: dict[str, _ModelSize] = {}
         for model in root.iter("model"):
-            found = self._held(model, path, within)
+            model_size = self._included_size(model, path, within)
             models |= dict.fromkeys(
-                (model.get("name", ""), Path(model.get("file", "")).stem), found
+                (model.get("name", ""), Path(model.get("file", "")).stem), model_size
             )
-        unnamed = max(models.values(), key=lambda size: size.elements, default=_Size())
-        made = _Size()
-        for element, copies in _copies(root):
-            made += _Size(1, element.tag in _BODIES) * copies
+        unnamed = max(
+            models.values(), key=lambda size: size.elements, default=_ModelSize()
+        )
+        size = _ModelSize()
+        for element, copies in _elements_with_copies(root):
+            size += _ModelSize(1, element.tag in _BODY_TAGS) * copies
             if element.tag == "attach":
-                made += models.get(element.get("model", ""), unnamed) * copies
+                size += models.get(element.get("model", ""), unnamed) * copies
             elif element.tag in ("include", "model"):
-                made += self._held(element, path, within) * copies
+                size += self._included_size(element, path, within) * copies
             elif element.tag in ("hfield", "size", "mesh"):
                 self._check_numbers(element)
-        return made
+        return size
 
-    def _held(self, element: ET.Element, path: Path, within: tuple[Path, ...]) -> _Size:
-        """What the file becomes that an element names, beside its own or the first one."""
+    def _included_size(
+        self, element: ET.Element, path: Path, within: tuple[Path, ...]
+    ) -> _ModelSize:
+        """Size of the file named by an element; zero if missing.
+
+        Names are relative to the including file or to the first file; the larger size is used.
+
+        Args:
+            element: Element with the attribute `file`.
+            path: File that contains the element.
+            within: Files that include each other, outermost first.
+        """
         name = element.get("file", "")
         places = [folder / name for folder in {path.parent, self._first.parent} if name]
         sizes = [self.size(place, within) for place in places if place.exists()]
-        return max(sizes, key=lambda size: size.elements, default=_Size())
+        return max(sizes, key=lambda size: size.elements, default=_ModelSize())
 
     def _check_numbers(self, element: ET.Element) -> None:
-        """Whether what an element's numbers ask for can be made in a moment."""
+        """Check sizes stated by a height field, a mesh or a <size> element.
+
+        Raises:
+            ModelError: A size exceeds MAX_HFIELD_CELLS, MAX_MESH_PARAMETER or MAX_RESERVED.
+        """
         if element.tag == "hfield":
-            if _largest(element, "nrow") * _largest(element, "ncol") > MOST_CELLS:
+            if (
+                _largest_number(element, "nrow") * _largest_number(element, "ncol")
+                > MAX_HFIELD_CELLS
+            ):
                 raise ModelError(
-                    f"{self._first}: a height field of more than {MOST_CELLS} cells"
+                    f"{self._first}: a height field of more than {MAX_HFIELD_CELLS} cells"
                 )
         elif element.tag == "mesh":
-            if _largest(element, "params") > FINEST_MESH:
-                raise ModelError(f"{self._first}: a mesh of params above {FINEST_MESH}")
+            if _largest_number(element, "params") > MAX_MESH_PARAMETER:
+                raise ModelError(
+                    f"{self._first}: a mesh of params above {MAX_MESH_PARAMETER}"
+                )
         else:
             reserved = {
-                key: _largest(element, key) for key in element.attrib if key != "memory"
+                key: _largest_number(element, key)
+                for key in element.attrib
+                if key != "memory"
             }
-            large = [key for key, value in reserved.items() if value > MOST_RESERVED]
+            large = [key for key, value in reserved.items() if value > MAX_RESERVED]
             if large:
                 raise ModelError(
-                    f"{self._first}: <size {large[0]}> reserves more than {MOST_RESERVED}"
+                    f"{self._first}: <size {large[0]}> reserves more than {MAX_RESERVED}"
                 )
 
 
-def _largest(element: ET.Element, key: str) -> float:
-    """The largest number of an attribute; zero where there is none."""
-    words = [decimals(word, 1) for word in element.get(key, "").split()]
+def _largest_number(element: ET.Element, key: str) -> float:
+    """Largest magnitude among the numbers of an attribute; zero if there are none."""
+    words = [parse_decimals(word, 1) for word in element.get(key, "").split()]
     return max((abs(word[0]) for word in words if word), default=0.0)
 
 
-def _copies(root: ET.Element) -> Iterator[tuple[ET.Element, int]]:
-    """All elements, and how many times each is made."""
-    waiting = [(root, 1)]
-    while waiting:
-        element, copies = waiting.pop()
-        if element.tag in _COPIED:
-            counts = [decimals(word, 1) for word in element.get("count", "1").split()]
+def _elements_with_copies(root: ET.Element) -> Iterator[tuple[ET.Element, int]]:
+    """Yield the elements of a file, each with its number of copies.
+
+    Copies come from enclosing elements with a tag in _REPLICATING_TAGS.
+    """
+    pending = [(root, 1)]
+    while pending:
+        element, copies = pending.pop()
+        if element.tag in _REPLICATING_TAGS:
+            counts = [
+                parse_decimals(word, 1) for word in element.get("count", "1").split()
+            ]
             copies *= prod(max(1, int(count[0])) for count in counts if count)
         yield element, copies
-        waiting += [(child, copies) for child in element]
+        pending += [(child, copies) for child in element]
 
 
-def _rounded(number: int) -> str:
+def _count_text(number: int) -> str:
+    """Text of a count; a power of ten for counts of ten digits or more."""
     return str(number) if number < 10**9 else f"over 10^{len(str(number)) - 1}"
 
 
-MASSLESS = 1e-12
-"""Given to massless bodies so that the compiler takes them; read back as no matter [kg]."""
-FULL = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Entries of an inertia in MuJoCo's order."""
+MIN_COMPILED_MASS = 1e-12
+"""Mass and inertia assigned to massless bodies for the compiler, and read back as zero
+[kg, kg m^2]."""
+FULLINERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Row and column of an inertia tensor's entries, in the order of MuJoCo's `fullinertia`."""
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """Compile; where meshes cannot be read, without those that are only for the eye.
+    """Compile a MuJoCo model; if that fails, drop unreadable meshes and compile again.
+
+    Only meshes without effect on inertias are dropped.
+
+    Args:
+        spec: Editable model, changed in place if meshes are dropped.
+        path: Model file, for messages.
 
     Raises:
-        ModelError: MuJoCo refuses the model.
+        ModelError: MuJoCo rejects the model, or an unreadable mesh determines an inertia.
     """
-    with no_mujoco_warnings():
+    with suppress_mujoco_warnings():
         try:
             return spec.compile()
         except Exception as error:
-            first = one_line(error)
+            first = error_line(error)
         try:
             if drop_unreadable_meshes(spec, path):
                 return spec.compile()
         except ValueError as error:
-            first = one_line(error)
+            first = error_line(error)
     raise ModelError(f"{path}: {first}")
 
 
 def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ...]:
-    """Take out meshes that MuJoCo cannot read, and the geoms made of them; names them.
+    """Remove meshes that MuJoCo cannot compile, and their geoms, from a model.
+
+    Args:
+        spec: Editable model, changed in place.
+        path: Model file, for messages.
+
+    Returns:
+        Diagnostics with the names of the meshes.
 
     Raises:
         ModelError: The inertia of a body comes from such a mesh.
     """
-    said = []
-    with no_mujoco_warnings():
+    diagnostics = []
+    with suppress_mujoco_warnings():
         for mesh in list(spec.meshes):
             name, fault = mesh.name, _mesh_fault(spec, mesh.name)
             if fault is None:
                 continue
-            said.append(diagnose("model.mesh", mesh.file or name, reason=fault))
+            diagnostics.append(
+                make_diagnostic("model.mesh", mesh.file or name, reason=fault)
+            )
             for geom in [geom for geom in spec.geoms if geom.meshname == name]:
                 body = geom.parent
                 if not body.explicitinertial and body.name != "world":
@@ -217,87 +278,102 @@ def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic,
                     )
                 spec.delete(geom)
             spec.delete(mesh)
-    return tuple(said)
+    return tuple(diagnostics)
 
 
 def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
-    """What MuJoCo says of one mesh; None if it can read it."""
-    alone = spec.copy()
-    stated_inertias(alone)
-    for geom in list(alone.geoms):
+    """MuJoCo's error message for a model with a single mesh; None if the mesh compiles."""
+    mesh_spec = spec.copy()
+    extract_explicit_inertias(mesh_spec)
+    for geom in list(mesh_spec.geoms):
         if geom.meshname:
-            alone.delete(geom)
-    for mesh in list(alone.meshes):
+            mesh_spec.delete(geom)
+    for mesh in list(mesh_spec.meshes):
         if mesh.name != name:
-            alone.delete(mesh)
+            mesh_spec.delete(mesh)
     try:
-        alone.compile()
+        mesh_spec.compile()
     except Exception as error:
-        return one_line(error)
+        return error_line(error)
     return None
 
 
 @contextmanager
-def no_mujoco_warnings() -> Iterator[None]:
-    """MuJoCo's warnings go nowhere: neither to the terminal nor to MUJOCO_LOG.TXT."""
-    with unwarned_steps(), capture_stderr(), warnings.catch_warnings():
+def suppress_mujoco_warnings() -> Iterator[None]:
+    """Suppress MuJoCo's warnings and standard error within a context.
+
+    MuJoCo otherwise writes to the terminal and to MUJOCO_LOG.TXT.
+    """
+    with suppress_step_warnings(), capture_stderr(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
 
 @contextmanager
-def unwarned_steps() -> Iterator[None]:
-    """The same for what MuJoCo says while it steps; standard error stays as it is."""
-    before = mujoco.get_mju_user_warning()
+def suppress_step_warnings() -> Iterator[None]:
+    """Suppress MuJoCo's warnings during steps within a context; standard error is unchanged."""
+    original_handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)
     try:
         yield
     finally:
-        mujoco.set_mju_user_warning(before)
+        mujoco.set_mju_user_warning(original_handler)
 
 
 @dataclass(frozen=True, eq=False)
-class StatedInertia:
-    """An inertia as the file states it: the compiler's principal axes cost digits."""
+class ExplicitInertia:
+    """Explicit inertia of a body as stated in the file.
+
+    MuJoCo's compiler loses digits when it computes principal axes.
+
+    Attributes:
+        mass: Mass [kg].
+        moments: Inertia along the body's axes, (3, 3), or principal moments along the axes of the
+            body's `iquat`, (3,) [kg m^2].
+    """
 
     mass: float
-    moments: (
-        Array  # (3, 3) along the body's axes, or (3,) along those given by its `iquat`
-    )
+    moments: Array
 
 
-def stated_inertias(
+def extract_explicit_inertias(
     spec: mujoco.MjSpec,
-) -> tuple[dict[str, str], dict[str, StatedInertia]]:
-    """Flaws and explicit inertias, by body; `spec` is made to compile: flawed ones are replaced."""
-    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
+) -> tuple[dict[str, str], dict[str, ExplicitInertia]]:
+    """Flaws of inconsistent inertias, and explicit inertias as in the file, keyed by body name.
+
+    Inconsistent inertias in `spec` are replaced by 1 kg and 1 kg m^2, so that the model compiles.
+    Both results are empty if the compiler computes all inertias from geoms or balances them.
+    """
+    spec.compiler.boundmass = spec.compiler.boundinertia = MIN_COMPILED_MASS
     flaws: dict[str, str] = {}
-    stated: dict[str, StatedInertia] = {}
+    stated: dict[str, ExplicitInertia] = {}
     compiler = spec.compiler
     from_geoms = (
         compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     )
     if from_geoms or compiler.balanceinertia:
-        return flaws, stated  # what counts is what the compiler makes of the file
+        return flaws, stated  # inertias come from the compiler
     for body in spec.bodies:
         if not body.explicitinertial:
             continue
         mass, full = body.mass, None
         if not np.isnan(body.fullinertia[0]):
             full = np.empty((3, 3))
-            for value, (a, b) in zip(body.fullinertia, FULL, strict=True):
+            for value, (a, b) in zip(
+                body.fullinertia, FULLINERTIA_ENTRIES, strict=True
+            ):
                 full[a, b] = full[b, a] = value
-        found = inertia_flaw(
+        flaw = inertia_flaw(
             body.name, mass, np.diag(body.inertia) if full is None else full
         )
         if not np.isfinite(body.ipos).all():
-            found = f"link '{body.name}' has a mass centre that is not a number"
+            flaw = f"link '{body.name}' has a mass centre that is not a number"
             body.ipos, mass = np.zeros(3), np.nan
-        stated[body.name] = StatedInertia(
+        stated[body.name] = ExplicitInertia(
             mass, np.array(body.inertia) if full is None else full
         )
-        if found:
-            flaws[body.name] = found
+        if flaw:
+            flaws[body.name] = flaw
             body.mass, body.inertia, body.fullinertia = (
                 1.0,
                 np.ones(3),
@@ -307,29 +383,38 @@ def stated_inertias(
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> None:
-    """Give a body another inertia, along its own axes."""
+    """Replace the inertia of an editable body by `inertia`, relative to the body's frame."""
     central = inertia.central
     body.explicitinertial = True
     body.mass, body.ipos, body.iquat = inertia.mass, inertia.com, [1.0, 0.0, 0.0, 0.0]
     body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     body.inertia = np.zeros(3)
     body.fullinertia = (
-        [central[at] for at in FULL] if central.any() else np.full(6, np.nan)
+        [central[at] for at in FULLINERTIA_ENTRIES]
+        if central.any()
+        else np.full(6, np.nan)
     )
 
 
-def resolve(
+def compile_copy(
     spec: mujoco.MjSpec, path: Path
-) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:
-    """A copy compiled, for frames, degrees, limits and masses; and inertias as stated, by body."""
+) -> tuple[mujoco.MjModel, dict[str, ExplicitInertia]]:
+    """Compiled copy of a model, and explicit inertias of the file keyed by body.
+
+    Compilation resolves frames, angle units, limits and masses.
+
+    Args:
+        spec: Editable model, unchanged.
+        path: Model file, for messages.
+    """
     copy = spec.copy()
-    _, stated = stated_inertias(copy)
+    _, stated = extract_explicit_inertias(copy)
     return compile_spec(copy, path), stated
 
 
-def one_line(error: Exception) -> str:
-    """MuJoCo's message without its line breaks."""
-    # of MuJoCo's: it repeats what it found in a file
+def error_line(error: Exception) -> str:
+    """Message of a MuJoCo error on one line, of at most 400 characters."""
+    # MuJoCo quotes text of the file
     return " ".join(str(error).removeprefix("Error: ").split())[:400]
 
 

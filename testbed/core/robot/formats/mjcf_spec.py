@@ -1,8 +1,8 @@
-"""An MJCF file as MuJoCo's editable model: checked, reduced to its mechanism, joints held.
+"""Editable MuJoCo model of an MJCF file: checked, reduced to the mechanism, joints locked.
 
-MuJoCo's compiler resolves classes, frames, includes and inertias implied by geoms. A tree knows
-inertia, gravity, friction and motors. What MuJoCo calls passive forces besides, springs above all,
-would make its plant another robot than the one that is identified: it is left out, and said.
+MuJoCo's compiler resolves classes, frames, includes and inertias implied by geoms. A tree
+represents inertia, gravity, friction and motors. Other passive forces of MuJoCo, mainly springs,
+are removed with a diagnostic, so that the simulated plant equals the identified robot.
 """
 
 from __future__ import annotations
@@ -15,57 +15,69 @@ import mujoco
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import ModelError, quoted
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import ModelError, quoted_list
 from testbed.core.base.transform import Transform
 from testbed.core.robot.formats.mjcf_compile import (
-    check_files,
-    no_mujoco_warnings,
-    one_line,
-    resolve,
+    check_mjcf_size,
+    compile_copy,
+    error_line,
     rotation_matrix,
+    suppress_mujoco_warnings,
 )
-from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
+from testbed.core.robot.locks import (
+    JointLocks,
+    JointTravel,
+    MimicCoupling,
+    lock_positions,
+)
 from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
-from testbed.core.robot.rotations import displacement, to_quaternion
+from testbed.core.robot.rotations import joint_displacement, matrix_to_quaternion
 from testbed.core.robot.tree import ModelSource
 
-VELOCITY_LIMIT = "velocity_limit/"
-"""MJCF has no element for a velocity limit: <numeric name="velocity_limit/JOINT" data=.../>."""
-LINEAR = 1
-"""A delayed actuator reads its command between two that it has kept."""
-_SUPPORTED = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-_JOINT, _SITE = mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtWrap.mjWRAP_SITE
-_PLATE = (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE)
+VELOCITY_LIMIT_PREFIX = "velocity_limit/"
+"""Prefix of names of velocity limits: <numeric name="velocity_limit/JOINT" data=.../>.
+
+MJCF has no element for a velocity limit."""
+LINEAR_INTERPOLATION = 1
+"""Interpolation order of a delayed actuator: linear, between two buffered commands."""
+_JOINT_TYPES = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+_JOINT_WRAP, _SITE_WRAP = mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtWrap.mjWRAP_SITE
+_FORCE_SENSOR_TYPES = (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE)
 
 _Couplings: TypeAlias = dict[str, tuple[str | None, Array]]
-"""By follower: whom it follows, and five coefficients; both positions are counted from the file's
-posture."""
+"""Master joint and five polynomial coefficients, keyed by mimic joint, for positions relative to
+the reference positions of the file."""
 
 
-def commands_kept(delay: float, timestep: float) -> int:
-    """How many commands a delayed actuator keeps: MuJoCo's `nsample`, 0 without a delay.
+def buffered_command_count(delay: float, timestep: float) -> int:
+    """Number of commands that a delayed actuator buffers, ceil(delay / timestep) + 2.
+
+    This is MuJoCo's `nsample`; the number is zero for zero delay.
 
     Args:
-        delay: [s].
-        timestep: Of the simulation [s].
+        delay: Delay of the actuator [s].
+        timestep: Time step of the simulation [s].
     """
     return int(np.ceil(delay / timestep)) + 2 if delay else 0
 
 
 def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]:
-    """The editable MuJoCo model of an MJCF file: its mechanism, checked for what is supported.
+    """Editable MuJoCo model of an MJCF file, checked and reduced to the supported mechanism.
 
-    Held joints are taken out, their bodies posed. Errors are those of `load_tree`.
+    Locked joints are removed, and their bodies are placed at the locked positions. Errors are those
+    of `load_tree`.
 
     Returns:
-        The model, and what was accepted although it is wrong.
+        Editable model, and diagnostics of faults that were accepted.
     """
     path = file.path
-    spec = parse(path)
-    spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
+    spec = parse_mjcf(path)
+    spec.compiler.fusestatic = (
+        False  # fused bodies would lose the masses of their links
+    )
     _set_total_mass(spec, path)
-    _strip(spec)
+    _remove_unused_elements(spec)
     for joint in list(spec.joints):
         if (
             joint.type == mujoco.mjtJoint.mjJNT_FREE
@@ -74,57 +86,61 @@ def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]
             if not file.weld_root:
                 raise FreeRootError(path.name, joint.name or joint.parent.name)
             spec.delete(joint)
-        elif joint.type not in _SUPPORTED:
+        elif joint.type not in _JOINT_TYPES:
             kind = joint.type.name.removeprefix("mjJNT_").lower()
             raise ModelError(
                 f"{path}: joint '{joint.name or joint.parent.name}' is of type '{kind}', which is "
                 "not supported (supported: hinge, slide)"
             )
-    said = hold_joints(spec, file.lock, path)
-    return spec, (*said, *drop_passive_forces(spec, path))
+    diagnostics = lock_joints(spec, file.lock, path)
+    return spec, (*diagnostics, *drop_passive_forces(spec, path))
 
 
-def travels(path: Path) -> dict[str, Travel]:
-    """Coupling of every hinge and slide of an MJCF file, by name; ranges are left open."""
-    spec = parse(path)
-    couplings, _ = _couplings(spec)
-    followers = {name: Coupling(master, ()) for name, (master, _) in couplings.items()}
-    names = [joint.name for joint in spec.joints if joint.type in _SUPPORTED]
-    return {name: Travel(coupling=followers.get(name)) for name in names}
+def mjcf_joint_travels(path: Path) -> dict[str, JointTravel]:
+    """Master joint of each coupled hinge or slide joint, by name; other fields are unset."""
+    spec = parse_mjcf(path)
+    couplings, _ = _remove_couplings(spec)
+    followers = {
+        name: MimicCoupling(master, ()) for name, (master, _) in couplings.items()
+    }
+    names = [joint.name for joint in spec.joints if joint.type in _JOINT_TYPES]
+    return {name: JointTravel(coupling=followers.get(name)) for name in names}
 
 
-def parse(path: Path) -> mujoco.MjSpec:
-    """The file as MuJoCo's parser takes it, everything named.
+def parse_mjcf(path: Path) -> mujoco.MjSpec:
+    """Parse an MJCF file into an editable MuJoCo model; name unnamed bodies and joints.
+
+    Mocap bodies become static, and constraints to them are removed.
 
     Raises:
-        ModelError: MuJoCo does not take it.
+        ModelError: MuJoCo rejects the file, it exceeds `check_mjcf_size`, or is not named *.xml.
     """
-    check_files(path)
+    check_mjcf_size(path)
     if path.suffix != ".xml":
         raise ModelError(
             f"{path}: MuJoCo reads MJCF from files that end in .xml; rename it"
         )
-    with no_mujoco_warnings():
+    with suppress_mujoco_warnings():
         try:
             spec = mujoco.MjSpec.from_file(str(path))
         except Exception as error:  # MuJoCo raises ValueError and its own FatalError
-            raise ModelError(f"{path}: not a valid MJCF: {one_line(error)}") from None
+            raise ModelError(f"{path}: not a valid MJCF: {error_line(error)}") from None
     _name_everything(spec)
     _release_mocap(spec)
     return spec
 
 
 def _set_total_mass(spec: mujoco.MjSpec, path: Path) -> None:
-    """Scale all bodies to the total mass that the file wants, as MuJoCo's compiler would last."""
-    wanted = spec.compiler.settotalmass
-    if not wanted > 0:
+    """Scale all masses and inertias to the file's `settotalmass`, as MuJoCo's compiler does."""
+    total_mass = spec.compiler.settotalmass
+    if not total_mass > 0:
         return
     spec.compiler.settotalmass = -1.0
-    model, stated = resolve(spec, path)
+    model, stated = compile_copy(spec, path)
     masses = {
         name: float(model.body(name).mass[0]) for name in (b.name for b in spec.bodies)
     }
-    factor = wanted / sum(
+    factor = total_mass / sum(
         (masses | {n: body.mass for n, body in stated.items()}).values()
     )
     for body in spec.bodies:
@@ -135,18 +151,18 @@ def _set_total_mass(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _release_mocap(spec: mujoco.MjSpec) -> None:
-    """Take out what welds a robot to bodies that a program moves: these drive it, as motors do."""
-    moved = {body.name for body in spec.bodies if body.mocap}
+    """Remove constraints that drive bodies with mocap bodies, and make mocap bodies static."""
+    mocap_bodies = {body.name for body in spec.bodies if body.mocap}
     for equality in list(spec.equalities):
         ends = {equality.name1, equality.name2}
-        if equality.objtype == mujoco.mjtObj.mjOBJ_BODY and moved & ends:
+        if equality.objtype == mujoco.mjtObj.mjOBJ_BODY and mocap_bodies & ends:
             spec.delete(equality)
     for body in spec.bodies:
-        body.mocap = False  # it stands still
+        body.mocap = False  # fixed in place
 
 
 def _name_everything(spec: mujoco.MjSpec) -> None:
-    """Names are optional in MJCF, and everything here is distinguished by name."""
+    """Name unnamed bodies and joints: body0, body1, ... and BODY_joint, made unique by numbers."""
     taken = {body.name for body in spec.bodies} | {joint.name for joint in spec.joints}
     for k, body in enumerate(spec.bodies):
         if not body.name:
@@ -156,18 +172,23 @@ def _name_everything(spec: mujoco.MjSpec) -> None:
             taken.add(body.name)
     for k, joint in enumerate(spec.joints):
         if not joint.name:
-            near = f"{joint.parent.name}_joint"
-            joint.name = near if near not in taken else f"{near}{k}"
+            default_name = f"{joint.parent.name}_joint"
+            joint.name = (
+                default_name if default_name not in taken else f"{default_name}{k}"
+            )
             taken.add(joint.name)
 
 
-def _strip(spec: mujoco.MjSpec) -> None:
-    """Leave the mechanism and the plate's sensors: no drives, postures, textures, memory."""
+def _remove_unused_elements(spec: mujoco.MjSpec) -> None:
+    """Remove actuators, keyframes, textures, height fields and sensors other than force and torque.
+
+    Tuples, contact pairs and skins are also removed, and reserved memory sizes are reset.
+    """
     for elements in (spec.actuators, spec.keys, spec.tuples, spec.pairs, spec.skins):
         for element in list(elements):
             spec.delete(element)
     for sensor in list(spec.sensors):
-        if sensor.type not in _PLATE:
+        if sensor.type not in _FORCE_SENSOR_TYPES:
             spec.delete(sensor)
     for geom in list(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
@@ -181,69 +202,78 @@ def _strip(spec: mujoco.MjSpec) -> None:
     spec.nuserdata = spec.nkey = 0
 
 
-def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[Diagnostic, ...]:
-    """Take locked joints out of a model, those that go along with them, and all tendons.
+def lock_joints(
+    spec: mujoco.MjSpec, lock: JointLocks, path: Path
+) -> tuple[Diagnostic, ...]:
+    """Remove locked joints, mimic joints of locked masters, and all tendons from a model.
 
     Args:
-        spec: The model, which is changed.
-        lock: The joints to be held.
-        path: Its file, for messages.
+        spec: Model, changed in place.
+        lock: Positions of the joints to be locked, keyed by name [rad or m].
+        path: Model file, for messages.
 
     Returns:
-        Followers that are held where their masters do not take them, and tendons.
+        Diagnostics of `lock_positions`, and of removed tendons.
 
     Raises:
-        ModelError: What couples joints is not supported; MimicError for a joint that follows
-            another that moves.
-        UnknownName: A joint to be held is not there.
+        LoopError: An equality constraint closes a loop with joints that are not locked.
+        MimicError: A mimic joint and its master are both not locked.
+        UnknownName: A joint to be locked is not in the model.
     """
-    couplings, loops = _couplings(spec)
+    couplings, loops = _remove_couplings(spec)
     tendons = drop_tendons(spec)
     if not lock and not couplings and not loops:
         return tendons
-    model, _ = resolve(spec, path)
+    model, _ = compile_copy(spec, path)
     travels = _travels(model, couplings)
     try:
-        held, said = lock_positions(travels, lock, path.name)
+        locked, diagnostics = lock_positions(travels, lock, path.name)
     except MimicError:
-        # what may hold the master, too, comes first
+        # first report a loop, whose remedy may lock the master too
         _check_loops(loops, travels, lock, path)
         raise
-    _check_loops(loops, travels, held, path)
+    _check_loops(loops, travels, locked, path)
     for numeric in list(spec.numerics):
-        if numeric.name.removeprefix(VELOCITY_LIMIT) in held:
+        if numeric.name.removeprefix(VELOCITY_LIMIT_PREFIX) in locked:
             spec.delete(numeric)
     for body in spec.bodies:
-        if any(joint.name in held for joint in body.joints):
-            _hold(spec, body, model, held)
-    return (*said, *tendons)
+        if any(joint.name in locked for joint in body.joints):
+            _lock_joints_of_body(spec, body, model, locked)
+    return (*diagnostics, *tendons)
 
 
 def _check_loops(
     loops: Mapping[str, tuple[str, ...]],
-    travels: Mapping[str, Travel],
-    held: Lock,
+    travels: Mapping[str, JointTravel],
+    locked: JointLocks,
     path: Path,
 ) -> None:
+    """Raise LoopError for the first of `loops` (joints by constraint) with unlocked joints."""
     for constraint, joints in loops.items():
         moving = {
-            name: travels[name].rest
+            name: travels[name].rest_position
             for name in joints
-            if name in travels.keys() - held.keys()
+            if name in travels.keys() - locked.keys()
         }
         if moving:
             raise LoopError(path.name, constraint, moving)
 
 
-def _couplings(spec: mujoco.MjSpec) -> tuple[_Couplings, dict[str, tuple[str, ...]]]:
-    """Joints that follow others, and joints along loops by constraint; taken out of `spec`."""
-    found: _Couplings = {}
+def _remove_couplings(
+    spec: mujoco.MjSpec,
+) -> tuple[_Couplings, dict[str, tuple[str, ...]]]:
+    """Remove equality constraints from a model; return joint couplings and loops.
+
+    Couplings are keyed by mimic joint; loops map a description of a constraint to its joints. Every
+    active constraint is a loop unless it is the first coupling of a joint.
+    """
+    couplings: _Couplings = {}
     loops: dict[str, tuple[str, ...]] = {}
     for number, equality in enumerate(list(spec.equalities), start=1):
         if equality.active:
-            coupled = _coupled(spec, equality)
-            if coupled is not None and coupled[0] not in found:
-                found[coupled[0]] = coupled[1:]
+            coupling = _joint_coupling(spec, equality)
+            if coupling is not None and coupling[0] not in couplings:
+                couplings[coupling[0]] = coupling[1:]
             else:
                 ends = " and ".join(
                     f"'{name}'" for name in (equality.name1, equality.name2) if name
@@ -254,17 +284,18 @@ def _couplings(spec: mujoco.MjSpec) -> tuple[_Couplings, dict[str, tuple[str, ..
                     if equality.name
                     else f"<{kind}> (number {number})"
                 )
-                loops[f"{label} on {ends}"] = _along(spec, equality)
-        spec.delete(equality)  # an inactive one does nothing
-    return found, loops
+                loops[f"{label} on {ends}"] = _loop_joints(spec, equality)
+        spec.delete(equality)  # inactive constraints have no effect
+    return couplings, loops
 
 
-def _coupled(
+def _joint_coupling(
     spec: mujoco.MjSpec, equality: mujoco.MjsEquality
 ) -> tuple[str, str | None, Array] | None:
-    """Follower, master and coefficients of a constraint that couples two joints; None of another.
+    """Mimic joint, master and polynomial coefficients (5,) of an equality constraint.
 
-    A tendon of two joints that keeps its length does so: c1 q1 + c2 q2 = length.
+    The result is None if the constraint does not couple joints. The master of a joint at a constant
+    position is None. A tendon of fixed length, c1 q1 + c2 q2 = length, couples joint 1 to joint 2.
     """
     data = np.array(equality.data[:5])
     if equality.type == mujoco.mjtEq.mjEQ_JOINT:
@@ -276,19 +307,25 @@ def _coupled(
         wrap.type != mujoco.mjtWrap.mjWRAP_JOINT for wrap in wraps
     ):
         return None
-    (first, own), (second, other) = ((wrap.target.name, wrap.coef) for wrap in wraps)
-    return first, second, np.array([data[0] / own, -other / own, 0.0, 0.0, 0.0])
+    (first, first_coef), (second, second_coef) = (
+        (wrap.target.name, wrap.coef) for wrap in wraps
+    )
+    return (
+        first,
+        second,
+        np.array([data[0] / first_coef, -second_coef / first_coef, 0.0, 0.0, 0.0]),
+    )
 
 
-def _along(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]:
-    """The joints that move what a constraint joins."""
+def _loop_joints(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]:
+    """Names of the joints in a constraint's loop, except joints that carry both ends."""
     names = [name for name in (equality.name1, equality.name2) if name]
     if equality.type == mujoco.mjtEq.mjEQ_JOINT:
         return tuple(names)
     if equality.type == mujoco.mjtEq.mjEQ_TENDON:
         wraps = [wrap for name in names for wrap in spec.tendon(name).path]
-        joints = [wrap.target.name for wrap in wraps if wrap.type == _JOINT]
-        bodies = [wrap.target.parent for wrap in wraps if wrap.type == _SITE]
+        joints = [wrap.target.name for wrap in wraps if wrap.type == _JOINT_WRAP]
+        bodies = [wrap.target.parent for wrap in wraps if wrap.type == _SITE_WRAP]
     else:
         on_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
         joints, bodies = (
@@ -301,14 +338,15 @@ def _along(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]
         while body.name != "world":
             chains[-1] += [joint.name for joint in body.joints]
             body = body.parent
-    for chain in chains:  # what carries both ends does not move one against the other
+    for chain in chains:  # joints that carry both ends cause no relative motion
         joints += [
             n for n in chain if len(chains) == 1 or not all(n in c for c in chains)
         ]
     return tuple(dict.fromkeys(joints))
 
 
-def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, Travel]:
+def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, JointTravel]:
+    """Range and coupling of a compiled model's joints, keyed by name, as absolute positions."""
     names = [model.joint(j).name for j in range(model.njnt)]
     zero = {
         name: float(model.qpos0[model.jnt_qposadr[j]]) for j, name in enumerate(names)
@@ -319,130 +357,142 @@ def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, Travel]:
         coupling = None
         if name in couplings:
             master, coefficients = couplings[name]
-            ahead = np.polynomial.Polynomial([-zero.get(master or "", 0.0), 1.0])
-            polynomial = np.polynomial.Polynomial(coefficients)(ahead) + zero[name]
+            master_offset = np.polynomial.Polynomial(
+                [-zero.get(master or "", 0.0), 1.0]
+            )
+            polynomial = (
+                np.polynomial.Polynomial(coefficients)(master_offset) + zero[name]
+            )
             powers = polynomial.coef if master else polynomial.coef[:1]
-            coupling = Coupling(master, tuple(float(c) for c in powers))
-        travels[name] = Travel(float(low), float(high), coupling)
+            coupling = MimicCoupling(master, tuple(float(c) for c in powers))
+        travels[name] = JointTravel(float(low), float(high), coupling)
     return travels
 
 
-def _hold(
+def _lock_joints_of_body(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
     model: mujoco.MjModel,
-    held: dict[str, float],
+    locked: dict[str, float],
 ) -> None:
-    """Take a body's held joints out and pose it where they hold it.
+    """Remove a body's locked joints and set the body's pose at the locked positions [rad or m].
 
-    Joints of one body move it one after the other; those before a held one are seen from
-    where it takes the body.
+    The joints of a body act in series; free joints before a locked joint are expressed in the
+    displaced frame.
     """
-    at_zero = model.body(body.name)
-    X_PB = X_PB_zero = Transform(rotation_matrix(at_zero.quat), at_zero.pos)
-    free: list[tuple[mujoco.MjsJoint, Array, Array]] = []
+    compiled_body = model.body(body.name)
+    X_PB = X_PB_zero = Transform(rotation_matrix(compiled_body.quat), compiled_body.pos)
+    free_joints: list[tuple[mujoco.MjsJoint, Array, Array]] = []
     for joint in list(body.joints):
-        known, slides = (
+        compiled_joint, slides = (
             model.joint(joint.name),
             joint.type == mujoco.mjtJoint.mjJNT_SLIDE,
         )
-        anchor, axis = known.pos.copy(), known.axis.copy()
-        if joint.name not in held:
-            free.append((joint, anchor, axis))
+        anchor, axis = compiled_joint.pos.copy(), compiled_joint.axis.copy()
+        if joint.name not in locked:
+            free_joints.append((joint, anchor, axis))
             continue
         spec.delete(joint)
-        if q := held[known.name] - float(known.qpos0[0]):
-            X = Transform(p_AB_A=anchor) @ displacement(axis, q, revolute=not slides)
+        if q := locked[compiled_joint.name] - float(compiled_joint.qpos0[0]):
+            X = Transform(p_AB_A=anchor) @ joint_displacement(
+                axis, q, revolute=not slides
+            )
             X = X @ Transform(p_AB_A=-anchor)
-            back = X.inverse
-            free = [(each, back.point(p), back.R_AB @ e) for each, p, e in free]
+            X_inverse = X.inverse
+            free_joints = [
+                (each, X_inverse.point(p), X_inverse.R_AB @ e)
+                for each, p, e in free_joints
+            ]
             X_PB = X_PB @ X
     if X_PB is not X_PB_zero:
-        # out of frames that would move it once more
+        # without enclosing frames, which would displace it again
         body.set_frame(body.parent.add_frame())
-        body.pos, body.quat = X_PB.p_AB_A, to_quaternion(X_PB.R_AB)
+        body.pos, body.quat = X_PB.p_AB_A, matrix_to_quaternion(X_PB.R_AB)
         body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        for joint, anchor, axis in free:
+        for joint, anchor, axis in free_joints:
             joint.set_frame(body.add_frame())
             joint.pos, joint.axis = anchor, axis
 
 
 def drop_tendons(spec: mujoco.MjSpec) -> tuple[Diagnostic, ...]:
-    """Take all tendons out.
-
-    Returns:
-        Those that would act.
-    """
-    acting = []
+    """Remove all tendons; return a diagnostic of tendons with forces, inertia or limits."""
+    names = []
     for number, tendon in enumerate(list(spec.tendons), start=1):
-        acts = (
+        parameters = (
             *tendon.stiffness,
             *tendon.damping,
             tendon.armature,
             tendon.frictionloss,
         )
-        stops = tendon.limited != mujoco.mjtLimited.mjLIMITED_FALSE and np.any(
+        is_limited = tendon.limited != mujoco.mjtLimited.mjLIMITED_FALSE and np.any(
             tendon.range
         )
-        if any(acts) or stops:
-            acting.append(tendon.name or f"number {number}")
+        if any(parameters) or is_limited:
+            names.append(tendon.name or f"number {number}")
         spec.delete(tendon)
-    return _left_out({"the tendons": acting})
+    return _removal_diagnostics({"the tendons": names})
 
 
 def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ...]:
-    """Take out springs, damping that is not linear, gravity compensation and fluid.
+    """Remove springs, nonlinear damping, gravity compensation and fluid forces from a model.
 
     Args:
-        spec: The model, which is changed.
-        path: Its file, for messages.
+        spec: Model, changed in place.
+        path: Model file, for messages.
 
     Returns:
-        Each kind that would act, with the joints or bodies where it is.
+        Diagnostics of removed forces, with the names of joints or bodies. Damping that is stated by
+        the time constant and damping ratio of a spring is kept.
     """
-    springs, curved, floating = list[str](), list[str](), list[str]()
-    dampers = _dampers_of_springs(spec, path)
+    springs, nonlinear, compensated = list[str](), list[str](), list[str]()
+    spring_damping = _spring_damping(spec, path)
     for joint in spec.joints:
-        if np.any(joint.stiffness) or joint.name in dampers:
+        if np.any(joint.stiffness) or joint.name in spring_damping:
             springs.append(joint.name)
         if np.any(joint.damping[1:]):
-            curved.append(joint.name)
+            nonlinear.append(joint.name)
         joint.stiffness = np.zeros_like(joint.stiffness)
         joint.damping[1:] = 0.0
-        joint.damping[0] = dampers.get(joint.name, joint.damping[0])
+        joint.damping[0] = spring_damping.get(joint.name, joint.damping[0])
         joint.springdamper = np.zeros(2)
     for body in spec.bodies:
         if body.gravcomp:
-            floating.append(body.name)
+            compensated.append(body.name)
         body.gravcomp = 0.0
     option = spec.option
     fluid = option.density or option.viscosity
     option.density = option.viscosity = 0.0
-    said = _left_out(
+    diagnostics = _removal_diagnostics(
         {
             "springs of": springs,
-            "damping that grows faster than the speed of": curved,
-            "gravity compensation of": floating,
+            "damping that grows faster than the speed of": nonlinear,
+            "gravity compensation of": compensated,
         }
     )
-    return said + (_left_out({"the fluid around": ["the robot"]}) if fluid else ())
+    return diagnostics + (
+        _removal_diagnostics({"the fluid around": ["the robot"]}) if fluid else ()
+    )
 
 
-def _dampers_of_springs(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
-    """Damping that MuJoCo's compiler finds for springs that files say by their time and ratio."""
+def _spring_damping(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
+    """Damping of joints with `springdamper` (time constant, damping ratio), keyed by joint.
+
+    The damping is that computed by MuJoCo's compiler [N m s/rad or N s/m].
+    """
     names = [joint.name for joint in spec.joints if np.all(joint.springdamper)]
     if not names:
         return {}
-    model, _ = resolve(spec, path)
+    model, _ = compile_copy(spec, path)
     return {
         n: float(np.ravel(model.dof_damping[model.joint(n).dofadr[0]])[0])
         for n in names
     }
 
 
-def _left_out(found: dict[str, list[str]]) -> tuple[Diagnostic, ...]:
+def _removal_diagnostics(names_by_kind: dict[str, list[str]]) -> tuple[Diagnostic, ...]:
+    """Diagnostics of removed elements that act on the robot, one per kind."""
     return tuple(
-        diagnose("model.left-out", quoted(names), what=what)
-        for what, names in found.items()
+        make_diagnostic("model.left-out", quoted_list(names), what=what)
+        for what, names in names_by_kind.items()
         if names
     )

@@ -1,9 +1,8 @@
-"""A URDF file's XML, made fit for any parser: checked, of plain numbers, locked joints fixed.
+"""Checked XML of a URDF file, with plain numbers and with locked joints made fixed.
 
-What parsers pass over in silence is found here: loops, links that hang nowhere, floating and planar
-joints, misspelled elements. urdfdom drops a whole inertial whose mass is "3 " and says so only on
-standard error; other parsers take other texts. What is no plain number is refused, and what is one
-is written as every parser takes it, so that Pinocchio and MuJoCo read the same numbers.
+Faults that parsers ignore are detected here: loops, unconnected links, floating and planar joints,
+misspelled elements. Parsers differ in the numbers that they accept, such as "3 ". Texts that are
+not plain numbers are rejected; numbers are rewritten so that Pinocchio and MuJoCo accept them.
 """
 
 from __future__ import annotations
@@ -17,35 +16,49 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import ModelError, few, quoted
+from testbed.core.base.diagnostics import Diagnostic, make_diagnostic
+from testbed.core.base.errors import ModelError, quoted_list, shortened_list
 from testbed.core.base.transform import Transform
-from testbed.core.robot.inertia import HEAVIEST
-from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
-from testbed.core.robot.parsing import decimals, errors_of, plain, read_xml
+from testbed.core.robot.inertia import MAX_INERTIAL_PARAMETER
+from testbed.core.robot.locks import (
+    JointLocks,
+    JointTravel,
+    MimicCoupling,
+    lock_positions,
+)
+from testbed.core.robot.parsing import (
+    format_numbers,
+    parse_decimals,
+    prefix_model_errors,
+    read_xml,
+)
 from testbed.core.robot.refusals import FreeRootError
-from testbed.core.robot.rotations import displacement, from_rpy, to_rpy
-from testbed.core.robot.tree import FARTHEST, UNIT, ModelSource
+from testbed.core.robot.rotations import (
+    joint_displacement,
+    matrix_to_rpy,
+    rpy_to_matrix,
+)
+from testbed.core.robot.tree import AXIS_NORM_TOLERANCE, MAX_COORDINATE, ModelSource
 
-DEEPEST_LINKS = 1_500
-"""Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
-_MOVING = ("revolute", "continuous", "prismatic")
-_SUPPORTED = (*_MOVING, "fixed")
-_PARTS: dict[str, tuple[str, ...]] = {
+MAX_CHAIN_LENGTH = 1_500
+"""Largest number of links in series; Pinocchio's parser overflows its stack at 2000 to 4000."""
+_MOVING_TYPES = ("revolute", "continuous", "prismatic")
+_JOINT_TYPES = (*_MOVING_TYPES, "fixed")
+_USED_TAGS: dict[str, tuple[str, ...]] = {
     "robot": ("link", "joint"),
     "link": ("inertial",),
     "joint": ("parent", "child", "origin", "axis", "limit", "dynamics", "mimic"),
     "inertial": ("origin", "mass", "inertia"),
 }
-"""What counts of an element."""
-_BESIDE: dict[str, tuple[str, ...]] = {
+"""Child elements that are read, keyed by parent element."""
+_IGNORED_TAGS: dict[str, tuple[str, ...]] = {
     "robot": ("material", "transmission", "gazebo", "sensor", "ros2_control", "mujoco"),
     "link": ("visual", "collision"),
     "joint": ("safety_controller", "calibration"),
 }
-"""What is for simulators, drawings and drives."""
+"""Known child elements for simulators, drawings and drives, keyed by parent element."""
 
-TENSOR = {
+TENSOR_INDICES = {
     "ixx": (0, 0),
     "ixy": (0, 1),
     "ixz": (0, 2),
@@ -53,54 +66,61 @@ TENSOR = {
     "iyz": (1, 2),
     "izz": (2, 2),
 }
-"""Entries of an inertia, by attribute."""
+"""Row and column of an inertia tensor's entry, keyed by attribute."""
 
 
 @dataclass(frozen=True)
-class _Numbers:
-    """What an attribute holds.
+class _NumberFormat:
+    """Format of an attribute that holds numbers.
 
     Attributes:
-        count: So many numbers.
-        absent: What it is where it is not given; None where it must be.
-        greatest: Magnitude that none of them exceeds.
-        signed: Whether they may be negative.
-        angles: Whether right angles are meant where they nearly are.
+        count: Required count of numbers.
+        default: Text in place of a missing attribute; None if the attribute is required.
+        max_magnitude: Largest accepted magnitude.
+        signed: True if negative numbers are accepted.
+        angles: True to replace angles close to multiples of a right angle by the exact angle.
     """
 
     count: int
-    absent: str | None
-    greatest: float = float("inf")
+    default: str | None
+    max_magnitude: float = float("inf")
     signed: bool = True
     angles: bool = False
 
 
-_PLACE = {
-    "xyz": _Numbers(3, "0 0 0", FARTHEST),
-    "rpy": _Numbers(3, "0 0 0", FARTHEST, angles=True),
+_POSE_FORMATS = {
+    "xyz": _NumberFormat(3, "0 0 0", MAX_COORDINATE),
+    "rpy": _NumberFormat(3, "0 0 0", MAX_COORDINATE, angles=True),
 }
-_ATTRIBUTES = {
-    "origin": _PLACE,
-    "axis": {"xyz": _Numbers(3, "1 0 0", FARTHEST)},
-    "mass": {"value": _Numbers(1, None, HEAVIEST)},
-    "inertia": {key: _Numbers(1, None, HEAVIEST) for key in TENSOR},
+_NUMBER_FORMATS = {
+    "origin": _POSE_FORMATS,
+    "axis": {"xyz": _NumberFormat(3, "1 0 0", MAX_COORDINATE)},
+    "mass": {"value": _NumberFormat(1, None, MAX_INERTIAL_PARAMETER)},
+    "inertia": {
+        key: _NumberFormat(1, None, MAX_INERTIAL_PARAMETER) for key in TENSOR_INDICES
+    },
     "limit": {
-        **{key: _Numbers(1, "0") for key in ("lower", "upper")},
-        **{key: _Numbers(1, "0", signed=False) for key in ("effort", "velocity")},
+        **{key: _NumberFormat(1, "0") for key in ("lower", "upper")},
+        **{key: _NumberFormat(1, "0", signed=False) for key in ("effort", "velocity")},
     },
     "dynamics": {
-        "damping": _Numbers(1, "0"),
-        "friction": _Numbers(1, "0", signed=False),
+        "damping": _NumberFormat(1, "0"),
+        "friction": _NumberFormat(1, "0", signed=False),
     },
-    "mimic": {"multiplier": _Numbers(1, "1"), "offset": _Numbers(1, "0")},
-    "box": {"size": _Numbers(3, None, FARTHEST)},
-    "sphere": {"radius": _Numbers(1, None, FARTHEST)},
-    "cylinder": {key: _Numbers(1, None, FARTHEST) for key in ("radius", "length")},
-    "capsule": {key: _Numbers(1, None, FARTHEST) for key in ("radius", "length")},
-    "mesh": {"scale": _Numbers(3, "1 1 1", FARTHEST)},
-    "color": {"rgba": _Numbers(4, None, 1.0)},
+    "mimic": {"multiplier": _NumberFormat(1, "1"), "offset": _NumberFormat(1, "0")},
+    "box": {"size": _NumberFormat(3, None, MAX_COORDINATE)},
+    "sphere": {"radius": _NumberFormat(1, None, MAX_COORDINATE)},
+    "cylinder": {
+        key: _NumberFormat(1, None, MAX_COORDINATE) for key in ("radius", "length")
+    },
+    "capsule": {
+        key: _NumberFormat(1, None, MAX_COORDINATE) for key in ("radius", "length")
+    },
+    "mesh": {"scale": _NumberFormat(3, "1 1 1", MAX_COORDINATE)},
+    "color": {"rgba": _NumberFormat(4, None, 1.0)},
 }
-_TEXTS: dict[str, tuple[str, ...]] = {
+"""Formats of attributes that hold numbers, keyed by element, then by attribute."""
+_TEXT_ATTRIBUTES: dict[str, tuple[str, ...]] = {
     "robot": ("name", "version"),
     "link": ("name",),
     "joint": ("name", "type"),
@@ -108,46 +128,67 @@ _TEXTS: dict[str, tuple[str, ...]] = {
     "child": ("link",),
     "mimic": ("joint",),
 }
-"""Attributes that hold no numbers."""
-_NO_NUMBERS = ("nan", "inf", "infinity")
+"""Known attributes without numbers, keyed by element."""
+_NON_FINITE_WORDS = ("nan", "inf", "infinity")
+"""Words for numbers that are not finite."""
 
 
-def supported_xml(
+def checked_urdf_xml(
     file: ModelSource, *, keep_visuals: bool = False
 ) -> tuple[ET.Element, tuple[Diagnostic, ...]]:
-    """The file's links and joints, checked for what is supported; held joints become fixed ones.
+    """Checked root element of a URDF file, with locked joints made fixed.
 
     Args:
-        file: The file, and how to read it; errors are those of `load_tree`.
-        keep_visuals: Keep what is to be seen.
+        file: Model file with options for reading; errors are those of `load_tree`.
+        keep_visuals: True to keep visual elements and materials.
 
     Returns:
-        The root element, and what was accepted although it is wrong.
+        Root element, and diagnostics of faults that were accepted.
     """
-    root, said = _checked(file.path, file.weld_root, keep_visuals)
-    return root, (*said, *_hold(root.findall("joint"), file.lock, file.path))
+    root, diagnostics = _checked_xml(file.path, file.weld_root, keep_visuals)
+    return root, (
+        *diagnostics,
+        *_fix_locked_joints(root.findall("joint"), file.lock, file.path),
+    )
 
 
-def _checked(
+def _checked_xml(
     path: Path, weld_root: bool, keep_visuals: bool = False
 ) -> tuple[ET.Element, list[Diagnostic]]:
-    """Links and joints alone, in one tree, their numbers plain; and what is wrong and accepted."""
+    """Root element of a URDF file with links and joints, checked to form a tree.
+
+    Numbers are rewritten in plain form. Unused elements and accepted faults are removed; the second
+    result holds the diagnostics. Errors are those of `load_tree`.
+
+    Args:
+        path: URDF file.
+        weld_root: True to convert a floating joint at the root to a fixed joint.
+        keep_visuals: True to keep visual elements and materials.
+    """
     root = read_xml(path)
-    root.set("name", root.get("name") or path.stem)  # parsers want one
+    root.set("name", root.get("name") or path.stem)  # required by parsers
     links, joints = root.findall("link"), root.findall("joint")
-    shown = root.findall("material") if keep_visuals else []
-    with errors_of(path):
-        said = [each for part in root.iter() for each in _accepted(part)]
-        ignored = dict([*_keep(root, "", ("visual",) if keep_visuals else ())][::-1])
+    materials = root.findall("material") if keep_visuals else []
+    with prefix_model_errors(path):
+        diagnostics = [each for part in root.iter() for each in _correct_faults(part)]
+        ignored = dict(
+            [*_remove_unused_elements(root, "", ("visual",) if keep_visuals else ())][
+                ::-1
+            ]
+        )
         if ignored:
             owners = [f"{name} of {owner}" for name, owner in ignored.items()]
-            said.append(diagnose("model.ignored", few(owners[::-1]), file=path.name))
-        root[:] = [*shown, *links, *joints]
+            diagnostics.append(
+                make_diagnostic(
+                    "model.ignored", shortened_list(owners[::-1]), file=path.name
+                )
+            )
+        root[:] = [*materials, *links, *joints]
         carriers = _carriers(links, joints)
         for joint in joints:
             if (
                 joint.get("type") == "floating"
-                and link_at(joint, "parent") not in carriers
+                and joint_link(joint, "parent") not in carriers
             ):
                 if not weld_root:
                     raise FreeRootError(path.name, joint.get("name", "?"))
@@ -156,51 +197,56 @@ def _checked(
         for link in links:
             for inertial in link.findall("inertial"):
                 rewrite_numbers(inertial, f"link '{link.get('name')}'", allow_nan=True)
-    return root, said
+    return root, diagnostics
 
 
 def _check_joint(joint: ET.Element) -> None:
-    """Whether a joint is supported, its numbers made plain."""
+    """Check type, axis and mimic joint of a joint element; rewrite numbers in plain form."""
     name, kind = f"joint '{joint.get('name')}'", joint.get("type", "?")
-    if kind not in _SUPPORTED:
+    if kind not in _JOINT_TYPES:
         raise ModelError(
             f"{name} is of type '{kind:.40}', which is not supported (supported: "
-            f"{', '.join(_SUPPORTED)})"
+            f"{', '.join(_JOINT_TYPES)})"
         )
     rewrite_numbers(joint, name)
-    axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
-    if kind != "fixed" and max(np.abs(axis)) < UNIT:
+    axis = attribute_numbers(joint.find("axis"), "xyz", "1 0 0")
+    if kind != "fixed" and max(np.abs(axis)) < AXIS_NORM_TOLERANCE:
         raise ModelError(f"{name} has no direction: its <axis> xyz is {axis}")
     if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
         raise ModelError(f"{name}: <mimic> names no joint")
 
 
-def _accepted(element: ET.Element) -> Iterator[Diagnostic]:
-    """Of several places the first, as URDF's own parser takes it; friction that drives is none."""
+def _correct_faults(element: ET.Element) -> Iterator[Diagnostic]:
+    """Correct repeated origins and negative friction of an element; yield a diagnostic for each.
+
+    The first of several origins is kept, as in urdfdom; negative friction is set to zero.
+    """
     name = f"{element.tag} '{element.get('name', '')}'"
     for part in (
-        (element, *element.findall("inertial")) if element.tag in _PARTS else ()
+        (element, *element.findall("inertial")) if element.tag in _USED_TAGS else ()
     ):
-        for more in part.findall("origin")[1:]:
-            part.remove(more)
-            yield diagnose("model.origins", name)
+        for repeated in part.findall("origin")[1:]:
+            part.remove(repeated)
+            yield make_diagnostic("model.origins", name)
     for dynamics in element.findall("dynamics"):
-        found = decimals(dynamics.get("friction", "0"), 1)
-        if found and found[0] < 0:
+        numbers = parse_decimals(dynamics.get("friction", "0"), 1)
+        if numbers and numbers[0] < 0:
             dynamics.set("friction", "0")
-            yield diagnose("model.negative-friction", name, found[0])
+            yield make_diagnostic("model.negative-friction", name, numbers[0])
 
 
-def travels(path: Path) -> dict[str, Travel]:
-    """Range and coupling of every joint of a URDF file that moves, by name."""
-    root, _ = _checked(path, weld_root=True)
+def urdf_joint_travels(path: Path) -> dict[str, JointTravel]:
+    """Range and mimic coupling of every moving joint of a URDF file, keyed by name."""
+    root, _ = _checked_xml(path, weld_root=True)
     return _travels(root.findall("joint"))
 
 
-def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
-    """How the joints of a checked file move, by name; fixed ones do not."""
+def _travels(joints: list[ET.Element]) -> dict[str, JointTravel]:
+    """Range and coupling of moving joints among checked joint elements, keyed by name."""
     moving = {
-        joint.get("name", ""): joint for joint in joints if joint.get("type") in _MOVING
+        joint.get("name", ""): joint
+        for joint in joints
+        if joint.get("type") in _MOVING_TYPES
     }
     fixed = {joint.get("name", "") for joint in joints} - moving.keys()
     travels = {}
@@ -208,30 +254,38 @@ def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
         low, high = -np.inf, np.inf
         limit, mimic = joint.find("limit"), joint.find("mimic")
         if limit is not None and joint.get("type") != "continuous":
-            ends = *numbers_of(limit, "lower"), *numbers_of(limit, "upper")
-            low, high = ends if any(ends) else (low, high)  # zeros: not known
+            ends = (
+                *attribute_numbers(limit, "lower"),
+                *attribute_numbers(limit, "upper"),
+            )
+            low, high = ends if any(ends) else (low, high)  # zeros: unknown
         coupling = None
         if mimic is not None:
             master = mimic.get("joint", "")
             offset, slope = (
-                *numbers_of(mimic, "offset"),
-                *numbers_of(mimic, "multiplier", "1"),
+                *attribute_numbers(mimic, "offset"),
+                *attribute_numbers(mimic, "multiplier", "1"),
             )
-            coupling = Coupling(master, (offset, slope))
+            coupling = MimicCoupling(master, (offset, slope))
             if master in fixed:
-                coupling = Coupling(None, (offset,))
-        travels[name] = Travel(low, high, coupling)
+                coupling = MimicCoupling(None, (offset,))
+        travels[name] = JointTravel(low, high, coupling)
     return travels
 
 
-def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[Diagnostic, ...]:
-    """Make locked joints fixed ones, in the place where they are held."""
-    held, said = lock_positions(_travels(joints), lock, path.name)
+def _fix_locked_joints(
+    joints: list[ET.Element], lock: JointLocks, path: Path
+) -> tuple[Diagnostic, ...]:
+    """Convert locked joints to fixed joints at the locked positions.
+
+    Returns the diagnostics of `lock_positions`. Missing limits become zero, which means unknown.
+    """
+    locked, diagnostics = lock_positions(_travels(joints), lock, path.name)
     for joint in joints:
         name = joint.get("name", "")
-        if name in held:
-            if held[name]:
-                _move_origin(joint, held[name])
+        if name in locked:
+            if locked[name]:
+                _move_origin(joint, locked[name])
             joint.set("type", "fixed")
         if joint.get("type") == "fixed":
             for part in list(joint):
@@ -239,55 +293,66 @@ def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[Diagnostic,
                     joint.remove(part)
         elif joint.get("type") != "continuous" and joint.find("limit") is None:
             zeros = dict.fromkeys(("lower", "upper", "effort", "velocity"), "0")
-            ET.SubElement(joint, "limit", zeros)  # parsers want one; zeros: not known
-    return said
+            ET.SubElement(joint, "limit", zeros)  # required by parsers; zeros: unknown
+    return diagnostics
 
 
 def _move_origin(joint: ET.Element, position: float) -> None:
-    """Turn or shift a joint's origin by the joint's own motion."""
+    """Displace a joint's origin by the motion of the joint to a position [rad or m]."""
     origin = joint.find("origin")
     if origin is None:
         origin = ET.SubElement(joint, "origin")
-    axis = np.array(numbers_of(joint.find("axis"), "xyz", "1 0 0"))
+    axis = np.array(attribute_numbers(joint.find("axis"), "xyz", "1 0 0"))
     axis /= np.linalg.norm(axis)
-    rpy, xyz = (np.array(numbers_of(origin, key, "0 0 0")) for key in ("rpy", "xyz"))
-    X_PB = Transform(from_rpy(rpy), xyz) @ displacement(
+    rpy, xyz = (
+        np.array(attribute_numbers(origin, key, "0 0 0")) for key in ("rpy", "xyz")
+    )
+    X_PB = Transform(rpy_to_matrix(rpy), xyz) @ joint_displacement(
         axis, position, revolute=joint.get("type") != "prismatic"
     )
-    origin.set("xyz", plain(X_PB.p_AB_A))
-    origin.set("rpy", plain(to_rpy(X_PB.R_AB)))
+    origin.set("xyz", format_numbers(X_PB.p_AB_A))
+    origin.set("rpy", format_numbers(matrix_to_rpy(X_PB.R_AB)))
 
 
-def _keep(
+def _remove_unused_elements(
     element: ET.Element, owner: str, also: tuple[str, ...]
 ) -> Iterator[tuple[str, str]]:
-    """Remove unknown elements; yields unknown elements and attributes, and their owners."""
+    """Remove unused child elements, recursively; yield unknown tags and attributes with owners.
+
+    Args:
+        element: Element, changed in place.
+        owner: Description of the link or joint that contains the element.
+        also: Further tags to be kept.
+
+    Raises:
+        ModelError: A name is probably misspelled, or a child element is repeated.
+    """
     tag, tags = element.tag, [child.tag for child in element]
-    owner = f"{tag} '{element.get('name', '?')}'" if tag in _BESIDE else owner
-    parts, beside = _PARTS.get(tag, ()), _BESIDE.get(tag, ())
-    attributes = (*_ATTRIBUTES.get(tag, ()), *_TEXTS.get(tag, ()))
+    owner = f"{tag} '{element.get('name', '?')}'" if tag in _IGNORED_TAGS else owner
+    parts, ignored = _USED_TAGS.get(tag, ()), _IGNORED_TAGS.get(tag, ())
+    attributes = (*_NUMBER_FORMATS.get(tag, ()), *_TEXT_ATTRIBUTES.get(tag, ()))
     keys = [key for key in element.attrib if not key.startswith("xmlns")]
     for names, known in ((tags, parts), (keys, attributes)):
-        for name in sorted({*names} - {*known, *beside}):
-            near = get_close_matches(name.lower(), {*known} - {*names}, n=1, cutoff=0.8)
-            if near and near[0] not in name:  # a longer name is another one
-                said = (
-                    f"<{tag}> holds the unknown {name!r:.40}; did you mean {near[0]}?"
-                )
-                raise ModelError(f"{owner}: {said}")
+        for name in sorted({*names} - {*known, *ignored}):
+            matches = get_close_matches(
+                name.lower(), {*known} - {*names}, n=1, cutoff=0.8
+            )
+            if matches and matches[0] not in name:  # a longer name is distinct
+                message = f"<{tag}> holds the unknown {name!r:.40}; did you mean {matches[0]}?"
+                raise ModelError(f"{owner}: {message}")
             yield f"'{name:.40}' in <{tag}>", owner
     element[:] = [child for child in element if child.tag in (*parts, *also)]
     for child in element:
         if tag != "robot" and tags.count(child.tag) > 1 and child.tag in parts:
             raise ModelError(f"{owner} has more than one <{child.tag}>")
         if child.tag in parts:
-            yield from _keep(child, owner, also)
+            yield from _remove_unused_elements(child, owner, also)
 
 
 def _carriers(
     links: list[ET.Element], joints: list[ET.Element]
 ) -> dict[str, ET.Element]:
-    """The joint that carries each link; the links hang together as one tree."""
+    """Joint that carries each link, keyed by link; ModelError unless links form one tree."""
     for what, elements in (("link", links), ("joint", joints)):
         names = [element.get("name", "") for element in elements]
         if "" in names:
@@ -298,11 +363,11 @@ def _carriers(
     known = {link.get("name", "") for link in links}
     carriers: dict[str, ET.Element] = {}
     for joint in joints:
-        name, child = joint.get("name", ""), link_at(joint, "child")
+        name, child = joint.get("name", ""), joint_link(joint, "child")
         for end in ("parent", "child"):
-            if link_at(joint, end) not in known:
+            if joint_link(joint, end) not in known:
                 raise ModelError(
-                    f"joint '{name}' has no {end} link '{link_at(joint, end)}'"
+                    f"joint '{name}' has no {end} link '{joint_link(joint, end)}'"
                 )
         if child in carriers:
             raise ModelError(
@@ -315,88 +380,120 @@ def _carriers(
 
 
 def _check_tree(known: set[str], carriers: dict[str, ET.Element]) -> None:
-    """Whether all links hang on one root, and not too deep: parsers recurse along them."""
+    """Check that all links descend from one root, in chains of limited length.
+
+    Args:
+        known: Names of all links.
+        carriers: Joint that carries each link, keyed by link name.
+    """
     roots = [name for name in known if name not in carriers]
-    below: dict[str, list[str]] = {}
+    children: dict[str, list[str]] = {}
     for child, joint in carriers.items():
-        below.setdefault(link_at(joint, "parent"), []).append(child)
+        children.setdefault(joint_link(joint, "parent"), []).append(child)
     reached, level, depth = set(roots), roots, 0
     while level:
-        level = [child for link in level for child in below.get(link, [])]
+        level = [child for link in level for child in children.get(link, [])]
         reached.update(level)
         depth += 1
-        if depth > DEEPEST_LINKS:
-            raise ModelError(f"a chain of more than {DEEPEST_LINKS} links")
+        if depth > MAX_CHAIN_LENGTH:
+            raise ModelError(f"a chain of more than {MAX_CHAIN_LENGTH} links")
     if len(reached) < len(known):
-        lost = min(known - reached)
+        unreached = min(known - reached)
         raise ModelError(
-            f"link '{lost}' hangs on no root; its chain of joints is a closed loop"
+            f"link '{unreached}' hangs on no root; its chain of joints is a closed loop"
         )
     if len(roots) > 1:
         raise ModelError(
-            f"{len(roots)} links are carried by no joint ({quoted(sorted(roots))}); a robot "
+            f"{len(roots)} links are carried by no joint ({quoted_list(sorted(roots))}); a robot "
             "has one such"
         )
 
 
-def link_at(joint: ET.Element, end: str) -> str:
-    """The link at an end of a joint, "parent" or "child"; "" if none is said."""
+def joint_link(joint: ET.Element, end: str) -> str:
+    """Name of the "parent" or "child" link of a joint; "" if missing."""
     element = joint.find(end)
     return "" if element is None else element.get("link", "")
 
 
 def rewrite_numbers(owner: ET.Element, where: str, *, allow_nan: bool = False) -> None:
-    """Read the numbers of an element's parts strictly, and write them plainly.
+    """Check the numbers in an element's children and rewrite the texts in plain form.
 
     Args:
-        owner: A joint or an inertial; its parts are changed.
-        where: Owner, for messages.
-        allow_nan: Leave texts like "nan" as NaN: an inertia that is none is refused as such.
+        owner: Joint or inertial element, whose children are changed.
+        where: Description of the owner, for messages.
+        allow_nan: True to keep texts like "nan" as NaN: the inertia is rejected later.
 
     Raises:
-        ModelError: Names the attribute that holds something else.
+        ModelError: A number is missing, malformed or out of bounds; the message names it.
     """
     for part in owner:
-        for key, numbers in _ATTRIBUTES.get(part.tag, {}).items():
-            text = part.get(key, numbers.absent)
+        for key, numbers in _NUMBER_FORMATS.get(part.tag, {}).items():
+            text = part.get(key, numbers.default)
             if text is None:
                 raise ModelError(f"{where}: <{part.tag}> has no {key}")
             part.set(
-                key, _plain(text, numbers, f"{where}: <{part.tag}> {key}", allow_nan)
+                key,
+                _plain_numbers(
+                    text, numbers, f"{where}: <{part.tag}> {key}", allow_nan
+                ),
             )
 
 
-def numbers_of(element: ET.Element | None, key: str, absent: str = "0") -> list[float]:
-    """The numbers of an attribute that has been rewritten."""
-    text = absent if element is None else element.get(key, absent)
+def attribute_numbers(
+    element: ET.Element | None, key: str, default: str = "0"
+) -> list[float]:
+    """Numbers of an attribute after `rewrite_numbers`.
+
+    Args:
+        element: Element; None for a missing element.
+        key: Attribute.
+        default: Text in place of a missing attribute.
+    """
+    text = default if element is None else element.get(key, default)
     return [float(word) for word in text.split()]
 
 
-def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:
-    values = decimals(text, numbers.count)
+def _plain_numbers(
+    text: str, numbers: _NumberFormat, where: str, allow_nan: bool
+) -> str:
+    """Numbers of an attribute in plain form, checked against a format.
+
+    Args:
+        text: Text of the attribute.
+        numbers: Required format.
+        where: Description of the attribute, for messages.
+        allow_nan: True to return "nan" for all numbers if any number is NaN or infinite.
+
+    Raises:
+        ModelError: Count, form or size of the numbers is wrong.
+    """
+    values = parse_decimals(text, numbers.count)
     if values is None:
         words = text.lower().split()
         if allow_nan and len(words) == numbers.count:
-            finite = [w for w in words if w.lstrip("+-") not in _NO_NUMBERS]
-            if len(finite) < len(words) and all(decimals(word, 1) for word in finite):
+            finite = [w for w in words if w.lstrip("+-") not in _NON_FINITE_WORDS]
+            if len(finite) < len(words) and all(
+                parse_decimals(word, 1) for word in finite
+            ):
                 return " ".join(["nan"] * numbers.count)
-        wanted = (
+        requirement = (
             "a decimal number"
             if numbers.count == 1
             else f"{numbers.count} decimal numbers"
         )
-        raise ModelError(f"{where}={text!r:.60} is not {wanted}")
+        raise ModelError(f"{where}={text!r:.60} is not {requirement}")
     for value in values:
-        if abs(value) > numbers.greatest:
+        if abs(value) > numbers.max_magnitude:
             raise ModelError(
-                f"{where} holds {value:g}; {numbers.greatest:g} is the limit"
+                f"{where} holds {value:g}; {numbers.max_magnitude:g} is the limit"
             )
         if value < 0 and not numbers.signed:
             raise ModelError(f"{where} holds {value:g}, which cannot be negative")
     if numbers.angles:
-        right = [round(2 * angle / math.pi) * math.pi / 2 for angle in values]
-        # angles of rpy so near a multiple of a right angle are one, rounded in the file [rad]
+        right_angles = [round(2 * angle / math.pi) * math.pi / 2 for angle in values]
+        # angles of rpy this close to a multiple of a right angle are rounded in the file [rad]
         values = [
-            r if abs(a - r) <= 1e-5 else a for a, r in zip(values, right, strict=True)
+            r if abs(a - r) <= 1e-5 else a
+            for a, r in zip(values, right_angles, strict=True)
         ]
-    return plain(values)
+    return format_numbers(values)

@@ -1,3 +1,3 @@
-"""Laws of joints' torques, one a module; `testbed.core.robot.friction` finds them."""
+"""Additional joint torque laws, one module each, collected by `testbed.core.robot.friction`."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Viscous friction that differs by direction."""
+"""Viscous friction with different coefficients in the two directions of motion."""
 
 from __future__ import annotations
 
@@ -7,4 +7,6 @@ import numpy as np
 from testbed.core.robot.joint_law import JointLaw
 
 ASYMMETRIC = JointLaw("asymmetric", "N m s/rad", "N s/m", lambda qd, qdd: np.abs(qd))
-"""Viscous friction that differs by direction; where dry friction does, an offset shows it."""
+"""Difference of viscous friction between the two directions of motion.
+
+A difference of Coulomb friction between the two directions is equivalent to a torque offset."""

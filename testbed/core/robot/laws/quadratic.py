@@ -1,4 +1,4 @@
-"""Friction in proportion to the square of the velocity."""
+"""Friction proportional to the square of the speed."""
 
 from __future__ import annotations
 
@@ -9,4 +9,4 @@ from testbed.core.robot.joint_law import JointLaw
 QUADRATIC = JointLaw(
     "quadratic", "N m s^2/rad^2", "N s^2/m^2", lambda qd, qdd: qd * np.abs(qd)
 )
-"""Friction in proportion to the square of the velocity."""
+"""Friction proportional to the square of the speed."""

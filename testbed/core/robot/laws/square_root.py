@@ -1,4 +1,4 @@
-"""Friction in proportion to the root of the velocity."""
+"""Friction proportional to the square root of the speed."""
 
 from __future__ import annotations
 
@@ -12,4 +12,4 @@ SQUARE_ROOT = JointLaw(
     "N s^.5/m^.5",
     lambda qd, qdd: np.sign(qd) * np.sqrt(np.abs(qd)),
 )
-"""Friction in proportion to the root of the velocity: of lubricated gears."""
+"""Friction proportional to the square root of the speed, as in lubricated gears."""

@@ -8,7 +8,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class ElasticJoint(ModelErrorFamily):
-    """Elastic joints."""
+    """Elastic deflection of joints between encoder and link."""
 
     kind = "elastic_joint"
     label = "elastic joints"
@@ -16,7 +16,13 @@ class ElasticJoint(ModelErrorFamily):
     remedy = "move more slowly, or record encoders at the link side"
     noisy = True
 
-    def columns(self, at: Linearization) -> Array:
-        """Effects of deflections by slow torques, (m, C, n)."""
-        deflection = 2e-3 * at.slow(at.forces.torque) / at.sizes.torque
-        return at.encoders(deflection[..., None])
+    def columns(self, point: Linearization) -> Array:
+        """Effects of joint deflections proportional to quasi-static torques, (m, C, n) [N, N m].
+
+        The deflection is 2 mrad or mm at the greatest torque of the bodies, low-passed at
+        QUASI_STATIC_CUTOFF.
+        """
+        deflection = (
+            2e-3 * point.quasi_static_part(point.forces.torque) / point.sizes.torque
+        )
+        return point.encoder_effects(deflection[..., None])

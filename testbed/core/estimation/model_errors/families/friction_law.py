@@ -1,4 +1,4 @@
-"""Friction that is not proportional to sign and speed."""
+"""Friction that is not a linear function of sign and speed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class FrictionLaw(JointFamily):
-    """Friction that is not proportional to sign and speed."""
+    """Friction that is not a linear function of sign and speed."""
 
     kind = "friction_law"
     label = "another friction model"
@@ -18,9 +18,16 @@ class FrictionLaw(JointFamily):
     remedy = "let held-out data choose the terms: --terms auto"
     is_term = True
 
-    def torques(self, at: Linearization) -> Array:
-        """Stribeck's friction, magnitude and square of the speed, (m, n, 4) [N m or N]."""
-        speed = np.abs(at.motion.qd) / at.sizes.speed
-        laws = [at.sense * np.exp(-speed / 0.03), at.sense * np.exp(-speed / 0.13)]
-        laws += [speed, at.sense * speed**2]
-        return 0.03 * at.sizes.torque[:, None] * np.stack(laws, axis=2)
+    def torques(self, point: Linearization) -> Array:
+        """Stribeck terms, absolute speed and signed square of speed, (m, n, 4) [N m or N].
+
+        The two Stribeck terms decay exponentially, with decay speeds of 3 % and 13 % of the
+        greatest speed. All columns are scaled by 3 % of the joint's greatest torque.
+        """
+        speed = np.abs(point.motion.qd) / point.sizes.speed
+        laws = [
+            point.smooth_sign * np.exp(-speed / 0.03),
+            point.smooth_sign * np.exp(-speed / 0.13),
+        ]
+        laws += [speed, point.smooth_sign * speed**2]
+        return 0.03 * point.sizes.torque[:, None] * np.stack(laws, axis=2)

@@ -1,4 +1,4 @@
-"""Friction that needs a way to change its sign after a reversal."""
+"""Presliding friction: hysteresis after a reversal of the velocity."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class FrictionMemory(JointFamily):
-    """Friction that needs a way to change its sign after a reversal."""
+    """Presliding friction: hysteresis after a reversal of the velocity."""
 
     kind = "friction_memory"
     label = "friction with memory"
@@ -19,23 +19,23 @@ class FrictionMemory(JointFamily):
     is_term = True
     noisy = True
 
-    def torques(self, at: Linearization) -> Array:
-        """Dahl's friction over two travels less that of Coulomb, (m, n, 2) [N m or N]."""
-        memories = [_lag(at, travel) for travel in (2e-3, 8e-3)]
-        return 0.06 * at.sizes.torque[:, None] * np.stack(memories, axis=2)
+    def torques(self, point: Linearization) -> Array:
+        """Dahl minus Coulomb friction for two presliding distances, (m, n, 2) [N m or N]."""
+        memories = [_dahl_deviation(point, travel) for travel in (2e-3, 8e-3)]
+        return 0.06 * point.sizes.torque[:, None] * np.stack(memories, axis=2)
 
 
-def _lag(at: Linearization, travel: float) -> Array:
-    """Dahl's friction of size one less its sign, (m, n).
+def _dahl_deviation(point: Linearization, travel: float) -> Array:
+    """Difference `f - sign(qd)` of Dahl friction f of unit amplitude and Coulomb friction, (m, n).
 
     Args:
-        at: Motion.
-        travel: Over which a sign changes [rad or m].
+        point: Motion.
+        travel: Presliding distance [rad or m].
     """
-    qd, step = at.motion.qd, float(at.motion.t[1] - at.motion.t[0])
-    sign, keep = np.sign(qd), np.exp(-np.abs(qd) * step / travel)
-    force, lag = sign[0], np.zeros_like(qd)
+    qd, step = point.motion.qd, float(point.motion.t[1] - point.motion.t[0])
+    sign, decay = np.sign(qd), np.exp(-np.abs(qd) * step / travel)
+    force, deviation = sign[0], np.zeros_like(qd)
     for k in range(len(qd)):
-        force = sign[k] + (force - sign[k]) * keep[k]
-        lag[k] = force - sign[k]
-    return lag
+        force = sign[k] + (force - sign[k]) * decay[k]
+        deviation[k] = force - sign[k]
+    return deviation

@@ -1,4 +1,4 @@
-"""Friction that changes with time."""
+"""Friction that changes with time, as drives warm up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class Heat(JointFamily):
-    """Friction that changes with time."""
+    """Friction that changes with time, as drives warm up."""
 
     kind = "heat"
     label = "friction that changes in time"
@@ -19,10 +19,10 @@ class Heat(JointFamily):
     lasting = False
     is_term = True
 
-    def torques(self, at: Linearization) -> Array:
-        """Time, and its first two powers times both parts of friction, (m, n, 5) [N m or N]."""
-        time = (at.time / at.sizes.duration)[:, None]
-        speed = at.motion.qd / at.sizes.speed
-        each = [time * np.ones_like(speed), time * at.sense, time * speed]
-        each += [time**2 * at.sense, time**2 * speed]
-        return 0.01 * at.sizes.torque[:, None] * np.stack(each, axis=2)
+    def torques(self, point: Linearization) -> Array:
+        """Time, and dry and viscous friction times time and time squared, (m, n, 5) [N m or N]."""
+        time = (point.time / point.sizes.duration)[:, None]
+        speed = point.motion.qd / point.sizes.speed
+        each = [time * np.ones_like(speed), time * point.smooth_sign, time * speed]
+        each += [time**2 * point.smooth_sign, time**2 * speed]
+        return 0.01 * point.sizes.torque[:, None] * np.stack(each, axis=2)

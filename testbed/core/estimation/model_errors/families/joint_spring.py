@@ -1,4 +1,4 @@
-"""Torques by the position of a joint, as of a hose."""
+"""Torque as a function of the joint's position, such as that of a hose."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class JointSpring(JointFamily):
-    """Torques by the position of a joint, as of a hose."""
+    """Torque as a function of the joint's position, such as that of a hose."""
 
     kind = "joint_spring"
     label = "a torque by the position"
@@ -19,9 +19,11 @@ class JointSpring(JointFamily):
         "fasten hoses close to the joint axes; leave them off in a second recording"
     )
 
-    def torques(self, at: Linearization) -> Array:
-        """Position and its square, (m, n, 2) [N m or N]."""
-        position = (at.motion.q - at.sizes.middle) / at.sizes.range
+    def torques(self, point: Linearization) -> Array:
+        """Torques linear and quadratic in the centred joint position, (m, n, 2) [N m or N]."""
+        position = (point.motion.q - point.sizes.middle) / point.sizes.range
         return (
-            0.02 * at.sizes.torque[:, None] * np.stack([position, position**2], axis=2)
+            0.02
+            * point.sizes.torque[:, None]
+            * np.stack([position, position**2], axis=2)
         )

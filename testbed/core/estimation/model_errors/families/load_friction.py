@@ -1,4 +1,4 @@
-"""Friction in proportion to the load."""
+"""Friction proportional to the load."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class FrictionByLoad(JointFamily):
-    """Friction in proportion to the load."""
+    """Friction proportional to the load."""
 
     kind = "load_friction"
     label = "friction by the load"
@@ -18,6 +18,6 @@ class FrictionByLoad(JointFamily):
     remedy = "let held-out data choose the terms: --terms auto"
     is_term = True
 
-    def torques(self, at: Linearization) -> Array:
-        """Magnitudes of the bodies' torques with the sense of the motion, (m, n, 1) [N m or N]."""
-        return 0.1 * (np.abs(at.forces.torque) * at.sense)[..., None]
+    def torques(self, point: Linearization) -> Array:
+        """Product of the bodies' absolute torque and the sign of velocity, (m, n, 1) [N m or N]."""
+        return 0.1 * (np.abs(point.forces.torque) * point.smooth_sign)[..., None]

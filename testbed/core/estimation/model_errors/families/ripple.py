@@ -18,10 +18,10 @@ class Ripple(JointFamily):
     remedy = "move the joint over many of its periods; the parameters hardly depend on it then"
     alternatives = 40
 
-    def torques(self, at: Linearization) -> Array:
-        """Sines and cosines of multiples of the positions, (m, n, 80) [N m or N]."""
+    def torques(self, point: Linearization) -> Array:
+        """Sines and cosines of 40 multiples of the position, (m, n, 80) [N m or N]."""
         orders = np.arange(1, self.alternatives + 1)
-        angle = at.motion.q[..., None] * orders
+        angle = point.motion.q[..., None] * orders
         waves = np.stack([np.sin(angle), np.cos(angle)], axis=3)
-        waves = waves.reshape(*at.motion.q.shape, -1)
-        return np.asarray(0.02 * at.sizes.torque[:, None] * waves)
+        waves = waves.reshape(*point.motion.q.shape, -1)
+        return np.asarray(0.02 * point.sizes.torque[:, None] * waves)

@@ -10,14 +10,14 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 
 
 class Rotor(JointFamily):
-    """Inertia of rotors."""
+    """Inertia of the motors' rotors."""
 
     kind = "rotor"
     label = "inertia of rotors"
     meaning = "torques of motors that accelerate their rotors"
     remedy = "estimate it: --terms coulomb,viscous,offset,rotor"
 
-    def torques(self, at: Linearization) -> Array:
-        """Accelerations, (m, n, 1) [N m or N]."""
-        torque = at.motion.qdd / at.sizes.acceleration
-        return np.asarray(0.05 * (at.sizes.torque * torque)[..., None])
+    def torques(self, point: Linearization) -> Array:
+        """Torques proportional to the joint accelerations, (m, n, 1) [N m or N]."""
+        torque = point.motion.qdd / point.sizes.acceleration
+        return np.asarray(0.05 * (point.sizes.torque * torque)[..., None])

@@ -19,6 +19,8 @@ class ConstantTorque(JointFamily):
     )
     remedy = "estimate them: --terms coulomb,viscous,offset"
 
-    def torques(self, at: Linearization) -> Array:
-        """Constants, (m, n, 1) [N m or N]."""
-        return 0.02 * at.sizes.torque[:, None] * np.ones((*at.joint_torque.shape, 1))
+    def torques(self, point: Linearization) -> Array:
+        """Constant torque of each joint, (m, n, 1) [N m or N]."""
+        return (
+            0.02 * point.sizes.torque[:, None] * np.ones((*point.joint_torque.shape, 1))
+        )

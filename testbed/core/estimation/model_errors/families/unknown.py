@@ -1,4 +1,4 @@
-"""Smooth errors of unknown origin: random features of a Gaussian process."""
+"""Smooth errors of unknown origin: random Fourier features of a Gaussian process."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.model_errors.family import JointFamily, ModelErrorFamily
 from testbed.core.estimation.model_errors.linearization import Linearization
 
-FEATURES = 12
-"""Of each channel."""
+NUM_FEATURES = 12
+"""Number of features in each channel."""
 
 
-def _features(state: Array, lengths: Array, count: int = FEATURES) -> Array:
-    """Cosines of random combinations of a state, (m, count) of unit mean square together.
+def _random_features(state: Array, lengths: Array, count: int = NUM_FEATURES) -> Array:
+    """Random Fourier features of a state, (m, count), with unit sum of mean squares.
 
     Source    [RR07]
 
     Args:
-        state: (m, k).
-        lengths: Over which the error changes, (k,).
-        count: Of features.
+        state: State variables, (m, k).
+        lengths: Correlation lengths of the error, (k,).
+        count: Number of features.
     """
     rng = np.random.default_rng(1996)
     directions = rng.normal(size=(state.shape[1], count)) / lengths[:, None]
@@ -38,14 +38,15 @@ class UnknownJoint(JointFamily):
     physical = False
     lasting = False
 
-    def torques(self, at: Linearization) -> Array:
-        """Features of position and relative speed, (m, n, 12) [N m or N]."""
-        speed = at.motion.qd / at.sizes.speed
-        states = np.stack([at.motion.q, speed], axis=2)
+    def torques(self, point: Linearization) -> Array:
+        """Features of the joint's position and relative speed, (m, n, 12) [N m or N]."""
+        speed = point.motion.qd / point.sizes.speed
+        states = np.stack([point.motion.q, speed], axis=2)
         each = [
-            _features(states[:, j], np.array([0.4, 0.25])) for j in range(at.tree.n)
+            _random_features(states[:, j], np.array([0.4, 0.25]))
+            for j in range(point.tree.n)
         ]
-        return 0.03 * at.sizes.torque[:, None] * np.stack(each, axis=1)
+        return 0.03 * point.sizes.torque[:, None] * np.stack(each, axis=1)
 
 
 class _UnknownChannels(ModelErrorFamily):
@@ -55,10 +56,16 @@ class _UnknownChannels(ModelErrorFamily):
     lasting = False
     remedy = "repeat the motion in periods: what repeats is no noise (`testbed view` shows it)"
 
-    def in_channels(self, at: Linearization, features: Array) -> Array:
-        """Features, (m, k), in every channel, (m, C, C k)."""
-        external = at.method == "external"
-        size = at.sizes.wrench if external else at.sizes.torque
+    def channel_columns(self, point: Linearization, features: Array) -> Array:
+        """Features as separate columns of every channel, (m, C, C k) [N, N m].
+
+        Args:
+            point: Motion and predicted forces.
+            features: Features, (m, k); a value of one corresponds to 3 % of the channel's greatest
+                magnitude.
+        """
+        is_wrench = point.method == "wrench"
+        size = point.sizes.wrench if is_wrench else point.sizes.torque
         columns = 0.03 * size[:, None, None] * np.eye(len(size))[..., None] * np.ones(1)
         return np.asarray(
             (columns * features[:, None, None]).reshape(len(features), len(size), -1)
@@ -72,10 +79,10 @@ class UnknownPose(_UnknownChannels):
     label = "an unknown force by the pose"
     meaning = "something that depends on where the robot is"
 
-    def columns(self, at: Linearization) -> Array:
-        """Features of the positions, (m, C, 12 C)."""
-        length = np.full(at.tree.n, 0.8 * np.sqrt(at.tree.n / 3))
-        return self.in_channels(at, _features(at.motion.q, length))
+    def columns(self, point: Linearization) -> Array:
+        """Features of the joint positions in every channel, (m, C, 12 C)."""
+        length = np.full(point.tree.n, 0.8 * np.sqrt(point.tree.n / 3))
+        return self.channel_columns(point, _random_features(point.motion.q, length))
 
 
 class UnknownMotion(_UnknownChannels):
@@ -85,12 +92,14 @@ class UnknownMotion(_UnknownChannels):
     label = "an unknown force by the motion"
     meaning = "something that depends on how the robot moves"
 
-    def columns(self, at: Linearization) -> Array:
-        """Features of the motion, (m, C, 12 C)."""
-        motion, sizes, n = at.motion, at.sizes, at.tree.n
+    def columns(self, point: Linearization) -> Array:
+        """Features of positions, speeds and accelerations in every channel, (m, C, 12 C)."""
+        motion, sizes, n = point.motion, point.sizes, point.tree.n
         state = [motion.q, motion.qd / sizes.speed, motion.qdd / sizes.acceleration]
         lengths = np.sqrt(n) * np.repeat([0.8, 0.5, 0.5], n)
-        return self.in_channels(at, _features(np.concatenate(state, axis=1), lengths))
+        return self.channel_columns(
+            point, _random_features(np.concatenate(state, axis=1), lengths)
+        )
 
 
 class UnknownTime(_UnknownChannels):
@@ -99,9 +108,9 @@ class UnknownTime(_UnknownChannels):
     kind = "unknown_time"
     label = "an unknown force that changes in time"
     meaning = "a drift, or an event during the recording"
-    methods = ("internal",)
+    methods = ("torque",)
 
-    def columns(self, at: Linearization) -> Array:
-        """Features of time, (m, C, 12 C)."""
-        time = (at.time / at.sizes.duration)[:, None]
-        return self.in_channels(at, _features(time, np.array([0.3])))
+    def columns(self, point: Linearization) -> Array:
+        """Features of time in every channel, (m, C, 12 C)."""
+        time = (point.time / point.sizes.duration)[:, None]
+        return self.channel_columns(point, _random_features(time, np.array([0.3])))
