@@ -112,7 +112,8 @@ def test_ctrl_c_ends_a_search_with_the_best_motion_so_far(place: Path, tmp_path:
         stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     ) as run:  # fmt: skip
         assert run.stderr is not None
-        assert run.stderr.readline().startswith("note: ")  # it has begun to search
+        # it has begun to search; the kernel may be compiled before
+        assert any(line.startswith("note: ") for line in run.stderr)
         run.send_signal(signal.SIGINT)
         run.communicate(timeout=120)
     assert run.returncode == 0
