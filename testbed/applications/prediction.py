@@ -9,10 +9,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.dynamics.newton_euler import Motion, linear_inverse_dynamics
-from testbed.core.estimation.estimate import (
-    Estimate,
-    EstimateSummary,
-)
+from testbed.core.estimation.estimate import Estimate, EstimateSummary
 from testbed.core.estimation.problem import recording_tare
 from testbed.core.estimation.regression.normal_equations import matrix_square_root
 from testbed.core.estimation.regression.windows import motion_taps

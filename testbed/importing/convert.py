@@ -29,12 +29,7 @@ from testbed.importing.derivative import check_derivatives
 from testbed.importing.encoder_steps import unwrapped_positions
 from testbed.importing.foreign_table import MAX_NUMBERS, ForeignTable
 from testbed.importing.import_report import ImportReport, SignalReport
-from testbed.importing.mapping import (
-    AnyTable,
-    BaseTable,
-    Mapping,
-    read_mapping,
-)
+from testbed.importing.mapping import AnyTable, BaseTable, Mapping, read_mapping
 from testbed.importing.readers import open_foreign_table
 from testbed.importing.recording_columns import (
     recording_metadata,

@@ -16,10 +16,7 @@ from testbed.importing.column_names import (
     is_signal_word,
     parse_column_name,
 )
-from testbed.importing.foreign_table import (
-    JOINT_QUANTITIES,
-    ForeignTable,
-)
+from testbed.importing.foreign_table import JOINT_QUANTITIES, ForeignTable
 from testbed.importing.known_layouts import layout_of_logger
 from testbed.importing.likely_clock import LikelyClock, find_clock
 from testbed.importing.readers import read_tables

@@ -8,9 +8,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import to_json_values
-from testbed.core.base.errors import (
-    RecordingError,
-)
+from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.columns import column_members
 from testbed.importing.import_report import ImportReport
 from testbed.importing.mapping import (

@@ -29,7 +29,7 @@ oscillate between uneven samples."""
 
 
 def filter_half_length(source_rate: float, rate: float) -> float:
-    """Half length of the low-pass filter [s].
+    """Half length of the anti-alias filter that precedes resampling [s].
 
     The filtered signal is shorter than the source by this time at both ends. The half length is 0
     for source rates up to 1.01 times the rate of the grid, which need no filter.

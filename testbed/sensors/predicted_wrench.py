@@ -12,10 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.force_derivatives import (
-    ForceDerivatives,
-    force_derivatives,
-)
+from testbed.core.dynamics.force_derivatives import ForceDerivatives, force_derivatives
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.robot.tree import Tree
 

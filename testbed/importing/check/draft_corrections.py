@@ -11,9 +11,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
 from testbed.core.recordings.source import Source
 from testbed.core.robot.rotations import matrix_to_rpy, rotvec_to_matrix, rpy_to_matrix
-from testbed.importing.check.assessment import (
-    zero_hypothesis,
-)
+from testbed.importing.check.assessment import zero_hypothesis
 from testbed.importing.check.explanation import Explanation
 from testbed.importing.check.plate import MAX_ORIGIN_SIGMA
 from testbed.importing.check.plate_frame import plate_frame_of, unit_ratio
@@ -24,10 +22,7 @@ from testbed.importing.check.plate_map import (
     SHIFT_INDICES,
     rotation_vector,
 )
-from testbed.importing.check.time_offset import (
-    TimeOffset,
-    alignment_lines,
-)
+from testbed.importing.check.time_offset import TimeOffset, alignment_lines
 from testbed.importing.import_report import MappingDraft
 from testbed.importing.mapping import Mapping as MappingFile
 

@@ -25,10 +25,7 @@ from testbed.core.base.toml_text import validate_tables
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.recordings.views import adapt_to_robot
 from testbed.core.robot.tree import Tree
-from testbed.importing.check.assessment import (
-    Assessment,
-    assess_recording,
-)
+from testbed.importing.check.assessment import Assessment, assess_recording
 from testbed.importing.check.check import PreparedRecordings
 from testbed.importing.check.draft_corrections import (
     with_clocks,
@@ -51,9 +48,7 @@ from testbed.importing.check.recording_diagnostics import (
     signals_to_align,
 )
 from testbed.importing.check.search import Progress
-from testbed.importing.check.time_offset import (
-    time_offsets,
-)
+from testbed.importing.check.time_offset import time_offsets
 from testbed.importing.convert import import_recordings, source_time_ranges
 from testbed.importing.derivative import DerivativeError
 from testbed.importing.foreign_table import REVOLUTE_UNITS

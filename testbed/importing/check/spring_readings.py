@@ -45,7 +45,7 @@ def spring_readings(case: TorqueCase, joints: Sequence[int]) -> Iterator[LogRead
 
 
 def _expected_gains(case: TorqueCase) -> Array:
-    """Expected log evidence gain from a spring at each joint, to first order, (n,) [nats]."""
+    """First-order gain of log evidence if a spring is added at each joint, (n,) [nats]."""
     initial, products, unit = case.as_given, case.products, np.eye(case.tree.n)
     springs = spring_torques(case.signals, case.channel_rms).T * products.valid
     cross = (products.columns.transpose(0, 2, 1) @ springs[:, :, None])[:, :, 0]

@@ -26,11 +26,7 @@ from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_tables import SimulationTable
 from testbed.lab.experiment.rig import sensed_robot
 from testbed.lab.experiment.run import Run, assemble_run
-from testbed.lab.experiment.score import (
-    finite_rms,
-    relative_errors,
-    torque_set_errors,
-)
+from testbed.lab.experiment.score import finite_rms, relative_errors, torque_set_errors
 from testbed.lab.instruments.chain import Instrument, remeasured
 from testbed.lab.instruments.error_chain import random_stream
 

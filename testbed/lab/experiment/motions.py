@@ -29,12 +29,7 @@ from testbed.motion.surroundings import (
     find_watched_pairs,
     motion_constraints,
 )
-from testbed.motion.terms import (
-    ForceTerm,
-    PlateRange,
-    PlateTerm,
-    SensorTerm,
-)
+from testbed.motion.terms import ForceTerm, PlateRange, PlateTerm, SensorTerm
 
 DEFAULT_PLATE_NOISE = np.repeat([0.5, 0.1], 3)
 """Noise assumed of a plate that is simulated without noise, for choosing a motion [N, N m]."""

@@ -20,10 +20,7 @@ from testbed.core.base.errors import SettingsError
 from testbed.core.base.frames import data_frame
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.estimate import (
-    Estimate,
-    channel_units,
-)
+from testbed.core.estimation.estimate import Estimate, channel_units
 from testbed.core.estimation.information import Information
 from testbed.core.estimation.model_errors.model_errors import ModelErrorFreeSource
 from testbed.core.estimation.problem import Problem

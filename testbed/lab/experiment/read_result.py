@@ -23,11 +23,7 @@ from testbed.core.base.toml_text import (
     validate_tables,
     validation_message,
 )
-from testbed.core.estimation.estimate import (
-    Estimate,
-    EstimateSummary,
-    channel_names,
-)
+from testbed.core.estimation.estimate import Estimate, EstimateSummary, channel_names
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import SIGNALS, Signal

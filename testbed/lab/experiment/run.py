@@ -37,11 +37,7 @@ from testbed.core.base.stages import Progress, ignore_progress
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.diagnostics.torques import diagnostics_of_estimates
-from testbed.core.estimation.estimate import (
-    METHOD_LABELS,
-    Estimate,
-    robot_sensor_label,
-)
+from testbed.core.estimation.estimate import METHOD_LABELS, Estimate, robot_sensor_label
 from testbed.core.estimation.selection.chosen import completed_by_estimates
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings

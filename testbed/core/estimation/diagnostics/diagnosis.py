@@ -17,9 +17,7 @@ from testbed.core.base.errors import (
 )
 from testbed.core.base.stages import timed_stage
 from testbed.core.dynamics.newton_euler import pedestal_wrench
-from testbed.core.estimation.diagnostics.residuals import (
-    noise_diagnostics,
-)
+from testbed.core.estimation.diagnostics.residuals import noise_diagnostics
 from testbed.core.estimation.diagnostics.rigid_bodies import (
     REJECTION_SIGMAS,
     rigid_body_test,

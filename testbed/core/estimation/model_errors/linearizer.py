@@ -17,11 +17,7 @@ from testbed.core.estimation.model_errors.linearization import Linearization
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import SMALLEST_POSITIVE
 from testbed.core.estimation.regression.passes import motion_rows, noise_variance
-from testbed.core.estimation.regression.windows import (
-    ROW_ATTENUATION,
-    Plan,
-    low_pass,
-)
+from testbed.core.estimation.regression.windows import ROW_ATTENUATION, Plan, low_pass
 from testbed.core.kernel.numpy_engine import window_motion
 from testbed.core.kernel.records import SignalWindow
 from testbed.core.parameters.symbols import barycentric_from_standard

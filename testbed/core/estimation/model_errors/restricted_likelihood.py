@@ -116,7 +116,7 @@ class RegressionRows:
 
         Args:
             residual: Residuals, (C, R), zero in masked rows.
-            freedom: Degrees of freedom taken by the fit.
+            freedom: Number of degrees of freedom that the regression removes from the residuals.
         """
         length, count = residual.shape[1], self.count
         lags = [

@@ -34,9 +34,7 @@ from testbed.core.estimation.noise.lagged_products import (
     MAX_AUTOREGRESSION_ORDER,
     LaggedProducts,
 )
-from testbed.core.estimation.noise.noise_model import (
-    NoiseModel,
-)
+from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.noise.replicas import Bootstrap, QuantizationSums
 from testbed.core.estimation.noise.whitening import (
     NuisanceColumns,

@@ -39,7 +39,10 @@ class UnknownJoint(JointFamily):
     lasting = False
 
     def torques(self, point: Linearization) -> Array:
-        """Features of the joint's position and relative speed, (m, n, 12) [N m or N]."""
+        """Random Fourier features of each joint's position and speed, (m, n, 12) [N m or N].
+
+        Speeds are relative to `point.sizes.speed`; the sum of features is 3 % of `point.sizes.torque`.
+        """
         speed = point.motion.qd / point.sizes.speed
         states = np.stack([point.motion.q, speed], axis=2)
         each = [
