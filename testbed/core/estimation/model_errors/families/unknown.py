@@ -41,7 +41,7 @@ class UnknownJoint(JointFamily):
     def torques(self, point: Linearization) -> Array:
         """Random Fourier features of each joint's position and speed, (m, n, 12) [N m or N].
 
-        Speeds are relative to `point.sizes.speed`; the sum of features is 3 % of `point.sizes.torque`.
+        Speeds are relative to `point.sizes.speed`; the features have 3 % of `point.sizes.torque`.
         """
         speed = point.motion.qd / point.sizes.speed
         states = np.stack([point.motion.q, speed], axis=2)
